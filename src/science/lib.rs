@@ -1,0 +1,5 @@
+//! The numerical engines of firn, free of async, SQL, HTTP and clock: every function maps its arguments to its result.
+//!
+//! [`forecast`] computes avalanche-day forecasts with support vector machines.
+
+pub mod forecast;
