@@ -3,3 +3,4 @@
 //! [`forecast`] computes avalanche-day forecasts with support vector machines.
 
 pub mod forecast;
+pub mod progress;
