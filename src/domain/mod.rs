@@ -1,4 +1,8 @@
-//! The words of the trade: quantities with their bounds, and what a station reports of a day.
+//! The words of the service: what a station, an observation, a job and a problem are. No I/O.
 
+pub mod ids;
+pub mod job;
 pub mod observation;
+pub mod problem;
+pub mod station;
 pub mod units;

@@ -1,0 +1,155 @@
+//! A job and the one state machine that every change of its state goes through.
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+use uuid::Uuid;
+
+/// The five states of OGC API - Processes Part 1, section 7.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Status {
+    /// Waits for a free slot.
+    Accepted,
+    /// Is being computed.
+    Running,
+    /// Has results.
+    Successful,
+    /// Ended with an exception.
+    Failed,
+    /// Was given up on request.
+    Dismissed,
+}
+
+/// What may happen to a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// A runner takes it.
+    Start,
+    /// The computation has its result.
+    Succeed,
+    /// The computation cannot have a result.
+    Fail,
+    /// The owner gives it up.
+    Dismiss,
+}
+
+/// An [`Event`] that makes no sense in a state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a job that is {status:?} cannot {event:?}")]
+pub struct TransitionError {
+    /// The state it was in.
+    pub status: Status,
+    /// What should have happened.
+    pub event: Event,
+}
+
+impl Status {
+    /// Every state.
+    pub const ALL: [Self; 5] = [Self::Accepted, Self::Running, Self::Successful, Self::Failed, Self::Dismissed];
+
+    /// The state after `event`.
+    ///
+    /// # Errors
+    /// [`TransitionError`] where the event is not possible: an ended job never changes again.
+    pub const fn after(self, event: Event) -> Result<Self, TransitionError> {
+        match (self, event) {
+            (Self::Accepted, Event::Start) => Ok(Self::Running),
+            (Self::Running, Event::Succeed) => Ok(Self::Successful),
+            (Self::Accepted | Self::Running, Event::Fail) => Ok(Self::Failed),
+            (Self::Accepted | Self::Running, Event::Dismiss) => Ok(Self::Dismissed),
+            (status, event) => Err(TransitionError { status, event }),
+        }
+    }
+
+    /// True once nothing can happen to the job any more.
+    #[must_use]
+    pub const fn ended(self) -> bool {
+        matches!(self, Self::Successful | Self::Failed | Self::Dismissed)
+    }
+
+    /// The name in JSON and in the store.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Accepted => "accepted",
+            Self::Running => "running",
+            Self::Successful => "successful",
+            Self::Failed => "failed",
+            Self::Dismissed => "dismissed",
+        }
+    }
+
+    /// The state of that [`Status::name`].
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|status| status.name() == name)
+    }
+}
+
+/// Why a job failed: what the results endpoint answers instead of results.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Exception {
+    /// The problem code, as in `/problems/{code}`.
+    #[schema(example = "interrupted")]
+    pub code: String,
+    /// What happened, for a human.
+    pub detail: String,
+}
+
+/// One job as the store keeps it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Job {
+    /// Its id, a UUID version 7.
+    pub id: Uuid,
+    /// Which process it executes.
+    pub process_id: String,
+    /// Where it is in its life.
+    pub status: Status,
+    /// How much is done, 0 to 100; never falls.
+    pub progress: u8,
+    /// What is being done.
+    pub phase: Option<String>,
+    /// A sentence on its state.
+    pub message: Option<String>,
+    /// Why it failed.
+    pub exception: Option<Exception>,
+    /// The inputs with every default and the seed filled in.
+    pub inputs: serde_json::Value,
+    /// SHA-256 (hex) of the resolved inputs and of the content that they name.
+    pub input_hash: String,
+    /// The version of firn that accepted it.
+    pub version: String,
+    /// Who submitted it: the name of a key, or none where no key was needed.
+    pub submitted_by: Option<String>,
+    /// When it was accepted.
+    pub created: Timestamp,
+    /// When it was started.
+    pub started: Option<Timestamp>,
+    /// When it ended.
+    pub finished: Option<Timestamp>,
+    /// When it last changed.
+    pub updated: Timestamp,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_ended_job_never_changes() {
+        for status in Status::ALL.into_iter().filter(|s| s.ended()) {
+            for event in [Event::Start, Event::Succeed, Event::Fail, Event::Dismiss] {
+                assert_eq!(status.after(event), Err(TransitionError { status, event }));
+            }
+        }
+    }
+
+    #[test]
+    fn success_needs_a_start() {
+        assert!(Status::Accepted.after(Event::Succeed).is_err());
+        assert_eq!(Status::Accepted.after(Event::Start), Ok(Status::Running));
+        assert!(Status::Running.after(Event::Start).is_err());
+        assert_eq!(Status::Running.after(Event::Succeed), Ok(Status::Successful));
+    }
+}

@@ -1,0 +1,147 @@
+//! A place where somebody observes weather and snow every day.
+
+use firn_science::forecast::day::Variable;
+use jiff::{Timestamp, tz::TimeZone};
+use serde::{Deserialize, Serialize};
+use utoipa::{
+    PartialSchema, ToSchema,
+    openapi::{
+        RefOr,
+        schema::{ArrayBuilder, ObjectBuilder, Schema, Type},
+    },
+};
+
+use super::{
+    ids::StationId,
+    units::{Altitude, Latitude, Longitude},
+};
+
+/// What the owner of a station says of it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct StationBody {
+    /// Name for humans, 1 to 200 characters.
+    pub name: StationName,
+    /// Latitude, degrees north (WGS 84).
+    #[serde(default)]
+    pub latitude: Option<Latitude>,
+    /// Longitude, degrees east (WGS 84).
+    #[serde(default)]
+    pub longitude: Option<Longitude>,
+    /// Altitude above sea level, m.
+    #[serde(default)]
+    pub altitude_m: Option<Altitude>,
+    /// IANA time zone that makes the station's local days, such as `Europe/London`.
+    #[serde(default)]
+    pub timezone: Option<ZoneName>,
+    /// The variables that the station reports; null: whatever its observations contain.
+    #[serde(default)]
+    #[schema(schema_with = variables_schema)]
+    pub variables: Option<Vec<Variable>>,
+}
+
+/// A station as the store keeps it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Station {
+    /// Its name in every address.
+    pub id: StationId,
+    /// What its owner says of it.
+    pub body: StationBody,
+    /// True for a station whose data were made by a generator and not observed.
+    pub synthetic: bool,
+    /// Counts the changes, from 1.
+    pub revision: u32,
+    /// When it was made.
+    pub created: Timestamp,
+    /// When it last changed.
+    pub updated: Timestamp,
+}
+
+impl Station {
+    /// The zone of the station's local days; UTC where the owner named none.
+    #[must_use]
+    pub fn zone(&self) -> TimeZone {
+        self.body.timezone.as_ref().map_or(TimeZone::UTC, ZoneName::zone)
+    }
+}
+
+macro_rules! text {
+    ($(#[$doc:meta])* $name:ident, $min:literal..=$max:literal, $check:expr, $rule:literal, $example:literal) => {
+        $(#[$doc])*
+        #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(try_from = "String", into = "String")]
+        pub struct $name(String);
+
+        impl TryFrom<String> for $name {
+            type Error = &'static str;
+
+            fn try_from(text: String) -> Result<Self, Self::Error> {
+                let length = text.chars().count();
+                let check: fn(&str) -> bool = $check;
+                if ($min..=$max).contains(&length) && check(&text) { Ok(Self(text)) } else { Err($rule) }
+            }
+        }
+
+        impl From<$name> for String {
+            fn from(text: $name) -> Self {
+                text.0
+            }
+        }
+
+        impl $name {
+            /// The text itself.
+            #[must_use]
+            pub fn as_str(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl PartialSchema for $name {
+            fn schema() -> RefOr<Schema> {
+                ObjectBuilder::new()
+                    .schema_type(Type::String)
+                    .min_length(Some($min))
+                    .max_length(Some($max))
+                    .description(Some($rule))
+                    .examples([serde_json::json!($example)])
+                    .into()
+            }
+        }
+
+        impl ToSchema for $name {}
+    };
+}
+
+text! {
+    /// A name for humans.
+    StationName, 1..=200, |text| !text.contains(char::is_control),
+    "must be 1 to 200 characters without control characters", "Lochaber"
+}
+
+text! {
+    /// The name of a time zone that the bundled IANA database has.
+    ZoneName, 1..=64, |text| TimeZone::get(text).is_ok(),
+    "must be a name of the IANA time zone database, such as Europe/London", "Europe/London"
+}
+
+impl ZoneName {
+    /// The zone of that name.
+    #[must_use]
+    pub fn zone(&self) -> TimeZone {
+        // a ZoneName is made only from a name that the bundled database has
+        TimeZone::get(&self.0).unwrap_or(TimeZone::UTC)
+    }
+}
+
+fn variables_schema() -> Schema {
+    let names = Variable::ALL.map(Variable::name);
+    let item = ObjectBuilder::new().schema_type(Type::String).enum_values(Some(names));
+    let list = ArrayBuilder::new()
+        .items(item)
+        .unique_items(true)
+        .description(Some("The variables that the station reports; null: whatever its observations contain."));
+    let list = list.build();
+    let mut list = list;
+    list.schema_type = utoipa::openapi::schema::SchemaType::Array(vec![Type::Array, Type::Null]);
+    Schema::Array(list)
+}

@@ -1,0 +1,194 @@
+//! All SQL. SQLite in WAL mode is the truth: one writer connection, several readers, every write a transaction that is
+//! on disk before anybody is told of it.
+
+pub mod jobs;
+pub mod keys;
+pub mod models;
+pub mod observations;
+pub mod stations;
+
+use std::{
+    fs::{File, TryLockError},
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use jiff::{Timestamp, civil::Date};
+use sqlx::{
+    Sqlite, SqlitePool, Transaction,
+    sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous},
+};
+
+/// Older releases can corrupt a WAL database when two connections write and checkpoint at the same instant
+/// (sqlite.org/wal.html, "WAL-reset bug").
+const OLDEST_SAFE_SQLITE: [u32; 3] = [3, 51, 3];
+
+/// Marks a file as ours in the header of SQLite: "firn" in ASCII.
+const APPLICATION_ID: u32 = 0x6669_726e;
+
+/// What can go wrong between us and the database.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The database said no.
+    #[error("database: {0}")]
+    Sql(#[from] sqlx::Error),
+    /// The schema could not be brought up to date.
+    #[error("migration: {0}")]
+    Migrate(#[from] sqlx::migrate::MigrateError),
+    /// A file of the data directory could not be used.
+    #[error("{path}: {source}")]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Another process works on the same data directory.
+    #[error("{0} is in use by another firn process")]
+    Locked(PathBuf),
+    /// The file is a database of another program.
+    #[error("{0} is not a database of firn")]
+    Foreign(PathBuf),
+    /// The linked SQLite is one that can corrupt its file.
+    #[error("SQLite {0} can corrupt a WAL database; 3.51.3 or later is needed")]
+    UnsafeSqlite(String),
+    /// A row holds what no version of ours writes.
+    #[error("corrupt row: {0}")]
+    Corrupt(String),
+    /// A change that the state machine of jobs forbids.
+    #[error(transparent)]
+    Transition(#[from] crate::domain::job::TransitionError),
+    /// `If-Match` or `If-None-Match` does not hold.
+    #[error("the precondition does not hold")]
+    Precondition,
+    /// The row that should change is not there.
+    #[error("no such row")]
+    Missing,
+}
+
+impl StoreError {
+    fn corrupt(what: impl std::fmt::Display) -> Self {
+        Self::Corrupt(what.to_string())
+    }
+}
+
+/// Shorthand of this module.
+pub type Result<T> = std::result::Result<T, StoreError>;
+
+/// The open database; clones share it.
+#[derive(Clone)]
+pub struct Store {
+    writer: SqlitePool,
+    reader: SqlitePool,
+}
+
+impl Store {
+    /// Opens (and creates or migrates) the database of `data_dir`.
+    ///
+    /// # Errors
+    /// [`StoreError`] where the directory cannot be written, is in use, or holds something else.
+    pub async fn open(data_dir: &Path) -> Result<Self> {
+        create_directory(data_dir)?;
+        let path = data_dir.join("firn.db");
+        let options = SqliteConnectOptions::new()
+            .filename(&path)
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            .synchronous(SqliteSynchronous::Full)
+            .foreign_keys(true)
+            .busy_timeout(Duration::from_secs(5))
+            .optimize_on_close(true, None);
+        let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await?;
+        check_library(&writer).await?;
+        claim_file(&writer, &path).await?;
+        sqlx::migrate!("./migrations").run(&writer).await?;
+        let reader = SqlitePoolOptions::new().max_connections(4).connect_with(options.read_only(true)).await?;
+        Ok(Self { writer, reader })
+    }
+
+    /// Ends every connection after a last checkpoint.
+    pub async fn close(&self) {
+        self.reader.close().await;
+        self.writer.close().await;
+    }
+
+    /// Proves that the database can be written now.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where it cannot.
+    pub async fn check(&self) -> Result<()> {
+        let transaction = self.begin().await?;
+        transaction.rollback().await?;
+        sqlx::query("SELECT 1").execute(&self.reader).await?;
+        Ok(())
+    }
+
+    /// A write transaction that holds the write lock from its first statement, so that it cannot fail half-way for
+    /// being late.
+    async fn begin(&self) -> Result<Transaction<'static, Sqlite>> {
+        Ok(self.writer.begin_with("BEGIN IMMEDIATE").await?)
+    }
+}
+
+/// Makes sure that one server alone works on a data directory: two would take up each other's jobs. The lock lasts as
+/// long as the file that is returned; commands such as `firn key` do not need it.
+///
+/// # Errors
+/// [`StoreError::Locked`] where another server holds it, [`StoreError::Io`] where the directory cannot be written.
+pub fn lock(data_dir: &Path) -> Result<File> {
+    create_directory(data_dir)?;
+    let path = data_dir.join("firn.lock");
+    let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(at(&path))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(StoreError::Locked(data_dir.to_owned())),
+        Err(TryLockError::Error(source)) => Err(at(&path)(source)),
+    }
+}
+
+fn create_directory(path: &Path) -> Result<()> {
+    std::fs::create_dir_all(path).map_err(at(path))
+}
+
+fn at(path: &Path) -> impl Fn(std::io::Error) -> StoreError {
+    let path = path.to_owned();
+    move |source| StoreError::Io { path: path.clone(), source }
+}
+
+async fn check_library(pool: &SqlitePool) -> Result<()> {
+    let version: String = sqlx::query_scalar("SELECT sqlite_version()").fetch_one(pool).await?;
+    let parts: Vec<u32> = version.split('.').filter_map(|part| part.parse().ok()).collect();
+    if parts.as_slice() < OLDEST_SAFE_SQLITE.as_slice() {
+        return Err(StoreError::UnsafeSqlite(version));
+    }
+    Ok(())
+}
+
+async fn claim_file(pool: &SqlitePool, path: &Path) -> Result<()> {
+    let id: u32 = sqlx::query_scalar("PRAGMA application_id").fetch_one(pool).await?;
+    let tables: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_schema").fetch_one(pool).await?;
+    match id {
+        APPLICATION_ID => Ok(()),
+        0 if tables == 0 => {
+            sqlx::query(sqlx::AssertSqlSafe(format!("PRAGMA application_id = {APPLICATION_ID}"))).execute(pool).await?;
+            Ok(())
+        }
+        _ => Err(StoreError::Foreign(path.to_owned())),
+    }
+}
+
+fn parse_timestamp(text: &str) -> Result<Timestamp> {
+    text.parse().map_err(StoreError::corrupt)
+}
+
+fn parse_date(text: &str) -> Result<Date> {
+    text.parse().map_err(StoreError::corrupt)
+}
+
+fn from_json<T: serde::de::DeserializeOwned>(text: &str) -> Result<T> {
+    serde_json::from_str(text).map_err(StoreError::corrupt)
+}
+
+fn to_json<T: serde::Serialize + ?Sized>(value: &T) -> Result<String> {
+    serde_json::to_string(value).map_err(StoreError::corrupt)
+}

@@ -1,0 +1,433 @@
+//! Days: what was observed, what avalanches were recorded, and every state that either ever had.
+
+use std::{collections::HashMap, fmt::Write as _};
+
+use firn_science::forecast::day::{DayRecord, VARIABLES, Variable};
+use jiff::{Timestamp, civil::Date};
+use sqlx::{AssertSqlSafe, FromRow, Row, Sqlite, SqliteConnection, Transaction, query::Query, sqlite::SqliteArguments, sqlite::SqliteRow};
+
+use super::{Result, Store, StoreError, from_json, parse_date, parse_timestamp, stations::Written, to_json};
+use crate::domain::{
+    ids::StationId,
+    observation::{AvalancheRecord, Observation, activity_name},
+};
+
+/// Values of a day in the order of [`Variable::ALL`].
+pub type Values = [Option<f64>; VARIABLES];
+
+/// A day to write; a part that is `None` stays as it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DayWrite {
+    /// The station's local day.
+    pub date: Date,
+    /// Weather and snowpack; replaces all of them.
+    pub values: Option<Values>,
+    /// Avalanche activity.
+    pub avalanche: Option<AvalancheRecord>,
+}
+
+/// Who writes, when, and how it came in.
+#[derive(Clone, Debug)]
+pub struct Author {
+    /// The name of the key, or none where no key was needed.
+    pub name: Option<String>,
+    /// When.
+    pub at: Timestamp,
+    /// The call that brought it: `put`, `json`, `ndjson`, `csv`, `sais`.
+    pub source: &'static str,
+}
+
+/// Something stored with the number of its revision (from 1) and when it last changed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Revised<T> {
+    /// The thing itself.
+    pub value: T,
+    /// Counts the changes, from 1.
+    pub revision: u32,
+    /// When it last changed.
+    pub updated: Timestamp,
+}
+
+/// Everything that is stored of one day.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StoredDay {
+    /// The station's local day.
+    pub date: Date,
+    /// Weather and snowpack.
+    pub values: Option<Revised<Values>>,
+    /// Avalanche activity.
+    pub avalanche: Option<Revised<AvalancheRecord>>,
+}
+
+impl StoredDay {
+    /// What the science needs of it.
+    #[must_use]
+    pub fn record(&self) -> DayRecord {
+        let mut record = DayRecord::empty(self.date);
+        if let Some(values) = &self.values {
+            record.values = values.value;
+        }
+        if let Some(avalanche) = &self.avalanche {
+            record.activity = avalanche.value.activity;
+        }
+        record
+    }
+}
+
+/// One earlier or present state of a day's observation or avalanche record.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Revision {
+    /// Its number, from 1.
+    pub revision: u32,
+    /// What it said.
+    pub body: serde_json::Value,
+    /// When it was written.
+    pub recorded: Timestamp,
+    /// By whom.
+    pub recorded_by: Option<String>,
+    /// Through which call.
+    pub source: String,
+}
+
+/// Which of the two histories of a day.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Weather and snowpack.
+    Observation,
+    /// Avalanche activity.
+    Avalanche,
+}
+
+struct ValuesRow(Date, Revised<Values>);
+struct AvalancheRow(Date, Revised<AvalancheRecord>);
+struct RevisionRow(Revision);
+
+macro_rules! decoded_by {
+    ($($row:ty: $read:path),+) => {
+        $(impl FromRow<'_, SqliteRow> for $row {
+            fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+                $read(row).map_err(|error| sqlx::Error::Decode(Box::new(error)))
+            }
+        })+
+    };
+}
+
+decoded_by!(ValuesRow: read_values, AvalancheRow: read_avalanche, RevisionRow: read_revision);
+
+fn read_values(row: &SqliteRow) -> Result<ValuesRow> {
+    let mut values = [None; VARIABLES];
+    for variable in Variable::ALL {
+        values[variable.index()] = row.try_get(variable.name())?;
+    }
+    let date = parse_date(row.try_get("date")?)?;
+    let updated = parse_timestamp(row.try_get("updated")?)?;
+    Ok(ValuesRow(date, Revised { value: values, revision: row.try_get("revision")?, updated }))
+}
+
+fn read_avalanche(row: &SqliteRow) -> Result<AvalancheRow> {
+    let body = serde_json::json!({
+        "activity": row.try_get::<String, _>("activity")?,
+        "count": row.try_get::<Option<u32>, _>("count")?,
+        "type": row.try_get::<Option<String>, _>("type")?,
+        "trigger": row.try_get::<Option<String>, _>("trigger")?,
+        "size": row.try_get::<Option<f64>, _>("size")?,
+    });
+    let value = serde_json::from_value(body).map_err(StoreError::corrupt)?;
+    let date = parse_date(row.try_get("date")?)?;
+    let updated = parse_timestamp(row.try_get("updated")?)?;
+    Ok(AvalancheRow(date, Revised { value, revision: row.try_get("revision")?, updated }))
+}
+
+fn read_revision(row: &SqliteRow) -> Result<RevisionRow> {
+    Ok(RevisionRow(Revision {
+        revision: row.try_get("revision")?,
+        body: from_json(row.try_get("body")?)?,
+        recorded: parse_timestamp(row.try_get("recorded")?)?,
+        recorded_by: row.try_get("recorded_by")?,
+        source: row.try_get("source")?,
+    }))
+}
+
+/// The days of a station from `from` to `to`, both included, at most `limit` of each table.
+async fn select_days(
+    connection: &mut SqliteConnection,
+    station: &StationId,
+    from: Date,
+    to: Date,
+    limit: u32,
+) -> Result<Vec<StoredDay>> {
+    let sql = |table: &str| {
+        AssertSqlSafe(format!("SELECT * FROM {table} WHERE station = ? AND date BETWEEN ? AND ? ORDER BY date LIMIT ?"))
+    };
+    let (from, to) = (from.to_string(), to.to_string());
+    let values: Vec<ValuesRow> = sqlx::query_as(sql("observation"))
+        .bind(station.as_str())
+        .bind(&from)
+        .bind(&to)
+        .bind(limit)
+        .fetch_all(&mut *connection)
+        .await?;
+    let avalanches: Vec<AvalancheRow> = sqlx::query_as(sql("avalanche"))
+        .bind(station.as_str())
+        .bind(&from)
+        .bind(&to)
+        .bind(limit)
+        .fetch_all(&mut *connection)
+        .await?;
+    Ok(merge(values, avalanches))
+}
+
+/// One list by date from the two sorted ones.
+fn merge(values: Vec<ValuesRow>, avalanches: Vec<AvalancheRow>) -> Vec<StoredDay> {
+    let mut days: Vec<StoredDay> = values
+        .into_iter()
+        .map(|ValuesRow(date, values)| StoredDay { date, values: Some(values), avalanche: None })
+        .collect();
+    let mut only_avalanche = Vec::new();
+    for AvalancheRow(date, avalanche) in avalanches {
+        match days.binary_search_by_key(&date, |day| day.date) {
+            Ok(found) => days[found].avalanche = Some(avalanche),
+            Err(_) => only_avalanche.push(StoredDay { date, values: None, avalanche: Some(avalanche) }),
+        }
+    }
+    if !only_avalanche.is_empty() {
+        days.append(&mut only_avalanche);
+        days.sort_by_key(|day| day.date);
+    }
+    days
+}
+
+async fn insert_revision<T: serde::Serialize>(
+    tx: &mut Transaction<'_, Sqlite>,
+    table: &'static str,
+    station: &StationId,
+    date: Date,
+    revision: u32,
+    body: &T,
+    author: &Author,
+) -> Result<()> {
+    let sql = format!(
+        "INSERT INTO {table} (station, date, revision, body, recorded, recorded_by, source) VALUES (?, ?, ?, ?, ?, ?, ?)"
+    );
+    sqlx::query(AssertSqlSafe(sql))
+        .bind(station.as_str())
+        .bind(date.to_string())
+        .bind(revision)
+        .bind(to_json(body)?)
+        .bind(author.at.to_string())
+        .bind(author.name.as_deref())
+        .bind(author.source)
+        .execute(&mut **tx)
+        .await?;
+    Ok(())
+}
+
+/// `INSERT OR REPLACE` over every variable, written once from the list of variables.
+fn upsert_values_sql() -> String {
+    let mut sql = String::from("INSERT OR REPLACE INTO observation (station, date");
+    for variable in Variable::ALL {
+        // writing to a String cannot fail
+        let _ = write!(sql, ", {}", variable.name());
+    }
+    sql.push_str(", revision, updated) VALUES (?, ?");
+    sql.push_str(&", ?".repeat(VARIABLES + 2));
+    sql.push(')');
+    sql
+}
+
+fn bind_values<'q>(
+    query: Query<'q, Sqlite, SqliteArguments>,
+    values: &Values,
+) -> Query<'q, Sqlite, SqliteArguments> {
+    values.iter().fold(query, |query, value| query.bind(*value))
+}
+
+async fn write_values(
+    tx: &mut Transaction<'_, Sqlite>,
+    station: &StationId,
+    date: Date,
+    before: Option<&Revised<Values>>,
+    values: &Values,
+    author: &Author,
+) -> Result<Written> {
+    if before.is_some_and(|before| before.value == *values) {
+        return Ok(Written::Unchanged);
+    }
+    let revision = before.map_or(0, |before| before.revision) + 1;
+    let sql = upsert_values_sql();
+    let query = sqlx::query(AssertSqlSafe(sql)).bind(station.as_str()).bind(date.to_string());
+    bind_values(query, values).bind(revision).bind(author.at.to_string()).execute(&mut **tx).await?;
+    let body = Observation::from_values(values, None).map_err(StoreError::corrupt)?;
+    insert_revision(tx, "observation_revision", station, date, revision, &body, author).await?;
+    Ok(if before.is_some() { Written::Updated } else { Written::Created })
+}
+
+async fn write_avalanche(
+    tx: &mut Transaction<'_, Sqlite>,
+    station: &StationId,
+    date: Date,
+    before: Option<&Revised<AvalancheRecord>>,
+    record: &AvalancheRecord,
+    author: &Author,
+) -> Result<Written> {
+    if before.is_some_and(|before| before.value == *record) {
+        return Ok(Written::Unchanged);
+    }
+    let revision = before.map_or(0, |before| before.revision) + 1;
+    sqlx::query(
+        r#"INSERT OR REPLACE INTO avalanche (station, date, activity, count, type, "trigger", size, revision, updated)
+           VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"#,
+    )
+    .bind(station.as_str())
+    .bind(date.to_string())
+    .bind(activity_name(record.activity))
+    .bind(record.count.map(|count| count.get()))
+    .bind(record.r#type.map(|kind| kind.name()))
+    .bind(record.trigger.map(|trigger| trigger.name()))
+    .bind(record.size.map(f64::from))
+    .bind(revision)
+    .bind(author.at.to_string())
+    .execute(&mut **tx)
+    .await?;
+    insert_revision(tx, "avalanche_revision", station, date, revision, record, author).await?;
+    Ok(if before.is_some() { Written::Updated } else { Written::Created })
+}
+
+async fn write_day(
+    tx: &mut Transaction<'_, Sqlite>,
+    station: &StationId,
+    before: Option<&StoredDay>,
+    day: &DayWrite,
+    author: &Author,
+) -> Result<Written> {
+    let mut outcomes = Vec::with_capacity(2);
+    if let Some(values) = &day.values {
+        let before = before.and_then(|before| before.values.as_ref());
+        outcomes.push(write_values(tx, station, day.date, before, values, author).await?);
+    }
+    if let Some(record) = &day.avalanche {
+        let before = before.and_then(|before| before.avalanche.as_ref());
+        outcomes.push(write_avalanche(tx, station, day.date, before, record, author).await?);
+    }
+    let changed = outcomes.iter().any(|outcome| *outcome != Written::Unchanged);
+    Ok(match (before.is_some(), changed) {
+        (false, _) => Written::Created,
+        (true, true) => Written::Updated,
+        (true, false) => Written::Unchanged,
+    })
+}
+
+impl Store {
+    /// Writes all `days` in one transaction and says what became of each; a day that says nothing new makes no revision.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`]: then nothing was written.
+    pub async fn put_days(&self, station: &StationId, days: &[DayWrite], author: &Author) -> Result<Vec<Written>> {
+        let (Some(from), Some(to)) = (days.iter().map(|d| d.date).min(), days.iter().map(|d| d.date).max()) else {
+            return Ok(Vec::new());
+        };
+        let mut tx = self.begin().await?;
+        let known = select_days(&mut tx, station, from, to, u32::MAX).await?;
+        let known: HashMap<Date, StoredDay> = known.into_iter().map(|day| (day.date, day)).collect();
+        let mut written = Vec::with_capacity(days.len());
+        for day in days {
+            written.push(write_day(&mut tx, station, known.get(&day.date), day, author).await?);
+        }
+        tx.commit().await?;
+        Ok(written)
+    }
+
+    /// Writes one day if `permits` agrees with what is there before.
+    ///
+    /// # Errors
+    /// [`StoreError::Precondition`] where it does not; nothing was written then.
+    pub async fn put_day(
+        &self,
+        station: &StationId,
+        day: &DayWrite,
+        author: &Author,
+        permits: impl FnOnce(Option<&StoredDay>) -> bool,
+    ) -> Result<(StoredDay, Written)> {
+        let mut tx = self.begin().await?;
+        let before = select_days(&mut tx, station, day.date, day.date, 1).await?.pop();
+        if !permits(before.as_ref()) {
+            return Err(StoreError::Precondition);
+        }
+        let written = write_day(&mut tx, station, before.as_ref(), day, author).await?;
+        let after = select_days(&mut tx, station, day.date, day.date, 1).await?.pop();
+        tx.commit().await?;
+        Ok((after.ok_or(StoreError::Missing)?, written))
+    }
+
+    /// What is stored of one day.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn day(&self, station: &StationId, date: Date) -> Result<Option<StoredDay>> {
+        let mut connection = self.reader.acquire().await?;
+        Ok(select_days(&mut connection, station, date, date, 1).await?.pop())
+    }
+
+    /// The days from `from` to `to`, both included, in order of date, at most `limit`.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn days(&self, station: &StationId, from: Date, to: Date, limit: u32) -> Result<Vec<StoredDay>> {
+        // one snapshot for the two tables, so that no day shows half of a concurrent write
+        let mut tx = self.reader.begin().await?;
+        let mut days = select_days(&mut tx, station, from, to, limit).await?;
+        tx.commit().await?;
+        days.truncate(limit as usize);
+        Ok(days)
+    }
+
+    /// All days from `from` to `to`, both included, as the science reads them.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn day_records(&self, station: &StationId, from: Date, to: Date) -> Result<Vec<DayRecord>> {
+        Ok(self.days(station, from, to, u32::MAX).await?.iter().map(StoredDay::record).collect())
+    }
+
+    /// The date of the newest observation of weather or snowpack, if there is any.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn last_observation(&self, station: &StationId) -> Result<Option<Date>> {
+        let date: Option<String> = sqlx::query_scalar("SELECT max(date) FROM observation WHERE station = ?")
+            .bind(station.as_str())
+            .fetch_one(&self.reader)
+            .await?;
+        date.as_deref().map(parse_date).transpose()
+    }
+
+    /// The observed date that is nearest to `date`, if there is any: what a mistyped date may have meant.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn nearest_observation(&self, station: &StationId, date: Date) -> Result<Option<Date>> {
+        let date: Option<String> = sqlx::query_scalar(
+            "SELECT date FROM observation WHERE station = ?1
+             ORDER BY abs(julianday(date) - julianday(?2)), date LIMIT 1",
+        )
+        .bind(station.as_str())
+        .bind(date.to_string())
+        .fetch_optional(&self.reader)
+        .await?;
+        date.as_deref().map(parse_date).transpose()
+    }
+
+    /// Every state that a day's observation or avalanche record ever had, oldest first.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn revisions(&self, station: &StationId, date: Date, part: Part) -> Result<Vec<Revision>> {
+        let sql = match part {
+            Part::Observation => "SELECT * FROM observation_revision WHERE station = ? AND date = ? ORDER BY revision",
+            Part::Avalanche => "SELECT * FROM avalanche_revision WHERE station = ? AND date = ? ORDER BY revision",
+        };
+        let rows: Vec<RevisionRow> =
+            sqlx::query_as(sql).bind(station.as_str()).bind(date.to_string()).fetch_all(&self.reader).await?;
+        Ok(rows.into_iter().map(|row| row.0).collect())
+    }
+}
