@@ -2,8 +2,16 @@
 //!
 //! `src/README.md` is the map: what lives where, which way the arrows point, and what must never happen.
 
+pub mod api;
 pub mod clock;
+pub mod config;
+pub mod demo;
 pub mod domain;
+pub mod formats;
+pub mod jobs;
+pub mod server;
+pub mod shutdown;
 pub mod store;
+pub mod telemetry;
 
 pub use firn_science as science;

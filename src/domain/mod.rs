@@ -4,5 +4,6 @@ pub mod ids;
 pub mod job;
 pub mod observation;
 pub mod problem;
+pub mod schema;
 pub mod station;
 pub mod units;

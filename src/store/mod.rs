@@ -10,14 +10,21 @@ pub mod stations;
 use std::{
     fs::{File, TryLockError},
     path::{Path, PathBuf},
+    sync::Arc,
     time::Duration,
 };
 
+use firn_science::forecast::model::TrainedModel;
 use jiff::{Timestamp, civil::Date};
+use quick_cache::sync::Cache;
 use sqlx::{
     Sqlite, SqlitePool, Transaction,
     sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous},
 };
+use uuid::Uuid;
+
+/// Trained models that are kept ready; one takes about a MiB.
+const MODELS_IN_MEMORY: usize = 128;
 
 /// Older releases can corrupt a WAL database when two connections write and checkpoint at the same instant
 /// (sqlite.org/wal.html, "WAL-reset bug").
@@ -80,6 +87,7 @@ pub type Result<T> = std::result::Result<T, StoreError>;
 pub struct Store {
     writer: SqlitePool,
     reader: SqlitePool,
+    trained: Arc<Cache<Uuid, Arc<TrainedModel>>>,
 }
 
 impl Store {
@@ -103,7 +111,7 @@ impl Store {
         claim_file(&writer, &path).await?;
         sqlx::migrate!("./migrations").run(&writer).await?;
         let reader = SqlitePoolOptions::new().max_connections(4).connect_with(options.read_only(true)).await?;
-        Ok(Self { writer, reader })
+        Ok(Self { writer, reader, trained: Arc::new(Cache::new(MODELS_IN_MEMORY)) })
     }
 
     /// Ends every connection after a last checkpoint.

@@ -1,5 +1,8 @@
 //! The registry of trained models: a model never changes, what changes is which one is active.
 
+use std::sync::Arc;
+
+use firn_science::forecast::model::TrainedModel;
 use jiff::Timestamp;
 use sqlx::{FromRow, Row, Sqlite, Transaction, sqlite::SqliteRow};
 use uuid::Uuid;
@@ -179,13 +182,22 @@ impl Store {
         Ok(rows.into_iter().map(|row| row.0).collect())
     }
 
-    /// The machine of a model, as JSON.
+    /// A model ready to forecast with; read once and then kept in memory, since it never changes.
     ///
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
-    pub async fn model_machine(&self, id: Uuid) -> Result<Option<String>> {
-        let sql = "SELECT machine FROM model WHERE id = ?";
-        Ok(sqlx::query_scalar(sql).bind(id.to_string()).fetch_optional(&self.reader).await?)
+    pub async fn trained_model(&self, id: Uuid) -> Result<Option<Arc<TrainedModel>>> {
+        if let Some(model) = self.trained.get(&id) {
+            return Ok(Some(model));
+        }
+        let text: Option<String> = sqlx::query_scalar("SELECT machine FROM model WHERE id = ?")
+            .bind(id.to_string())
+            .fetch_optional(&self.reader)
+            .await?;
+        let Some(text) = text else { return Ok(None) };
+        let model: Arc<TrainedModel> = Arc::new(from_json(&text)?);
+        self.trained.insert(id, Arc::clone(&model));
+        Ok(Some(model))
     }
 
     /// The evaluation of a model, as JSON.

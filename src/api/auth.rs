@@ -1,0 +1,89 @@
+//! Who calls, and what they may do.
+
+use axum::{
+    extract::{FromRequestParts, Request, State},
+    http::{Method, header, request::Parts},
+    middleware::Next,
+    response::Response,
+};
+
+use super::{AppState, problem::ApiError};
+use crate::{
+    clock,
+    config::Config,
+    domain::problem::{Code, Problem},
+    store::keys::Role,
+};
+
+/// Who sent a request.
+#[derive(Clone, Debug)]
+pub struct Caller {
+    /// The name of the key; none where no key was needed.
+    pub name: Option<String>,
+    role: Role,
+}
+
+impl<S: Sync> FromRequestParts<S> for Caller {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Self::Rejection> {
+        let caller = parts.extensions.get::<Self>().cloned();
+        caller.ok_or_else(|| ApiError(Problem::internal("a route without authentication asks who calls")))
+    }
+}
+
+/// Whether every caller needs a key: on any address but loopback, unless the operator said otherwise.
+#[must_use]
+pub fn keys_needed(config: &Config) -> bool {
+    !config.listen.ip().is_loopback() && !config.allow_anonymous
+}
+
+/// Lets a request pass with its [`Caller`], or refuses it with 401 or 403.
+pub async fn authenticate(State(state): State<AppState>, mut request: Request, next: Next) -> Result<Response, ApiError> {
+    let path = request.uri().path().to_owned();
+    if is_public(&path) {
+        return Ok(next.run(request).await);
+    }
+    let caller = identify(&state, &request).await?;
+    let needed = role_for(request.method(), &path);
+    if caller.role < needed {
+        let detail = format!("this call needs the role {}, the key has {}", needed.name(), caller.role.name());
+        return Err(Problem::new(Code::Forbidden, detail).into());
+    }
+    request.extensions_mut().insert(caller);
+    Ok(next.run(request).await)
+}
+
+/// What a monitor, a browser or a client library needs before it has a key: nothing of it is data.
+fn is_public(path: &str) -> bool {
+    !(path == "/v1" || path.starts_with("/v1/"))
+}
+
+fn role_for(method: &Method, path: &str) -> Role {
+    if *method == Method::GET || *method == Method::HEAD || *method == Method::OPTIONS {
+        Role::Reader
+    } else if path.ends_with("/active-model") {
+        Role::Operator
+    } else {
+        Role::Forecaster
+    }
+}
+
+async fn identify(state: &AppState, request: &Request) -> Result<Caller, ApiError> {
+    let Some(value) = request.headers().get(header::AUTHORIZATION) else {
+        if keys_needed(&state.config) {
+            return Err(Problem::new(Code::Unauthorized, "this service wants a key with every request").into());
+        }
+        return Ok(Caller { name: None, role: Role::Admin });
+    };
+    let key = value.to_str().ok().and_then(|text| {
+        let (scheme, key) = text.split_once(' ')?;
+        scheme.eq_ignore_ascii_case("bearer").then(|| key.trim())
+    });
+    let found = match key {
+        Some(key) => state.store.authenticate(key, clock::now()).await?,
+        None => None,
+    };
+    let found = found.ok_or_else(|| Problem::new(Code::Unauthorized, "the key is not valid"))?;
+    Ok(Caller { name: Some(found.name), role: found.role })
+}

@@ -1,0 +1,135 @@
+//! Bodies: their size, their media type, and JSON read into types.
+
+use axum::{
+    body::Bytes,
+    extract::{FromRequest, Request, rejection::BytesRejection},
+    http::{HeaderMap, StatusCode, header},
+};
+use serde::de::DeserializeOwned;
+use utoipa::ToSchema;
+
+use crate::{
+    api::problem::ApiError,
+    domain::{
+        problem::{Code, Problem},
+        schema,
+    },
+};
+
+/// What a body claims to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MediaType {
+    /// `application/json`.
+    Json,
+    /// `application/x-ndjson`: one JSON value a line.
+    Ndjson,
+    /// `text/csv`.
+    Csv,
+}
+
+/// The media type of a request.
+///
+/// # Errors
+/// 415 that lists `accepted` for any other.
+pub fn media_type(headers: &HeaderMap, accepted: &[MediaType]) -> Result<MediaType, Problem> {
+    let text = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    let essence = text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+    let found = match essence.as_str() {
+        "application/json" => Some(MediaType::Json),
+        "application/x-ndjson" | "application/ndjson" | "application/jsonl" => Some(MediaType::Ndjson),
+        "text/csv" => Some(MediaType::Csv),
+        _ => None,
+    };
+    found.filter(|found| accepted.contains(found)).ok_or_else(|| {
+        let accepted: Vec<&str> = accepted.iter().map(|media| media.name()).collect();
+        let detail = format!("Content-Type must be {}, not {essence:?}", accepted.join(" or "));
+        Problem::new(Code::UnsupportedMediaType, detail)
+    })
+}
+
+impl MediaType {
+    /// The name in `Content-Type`.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Json => "application/json",
+            Self::Ndjson => "application/x-ndjson",
+            Self::Csv => "text/csv",
+        }
+    }
+}
+
+/// A whole body within the limit of the router.
+#[derive(Debug)]
+pub struct Body(pub Bytes);
+
+impl<S: Send + Sync> FromRequest<S> for Body {
+    type Rejection = ApiError;
+
+    async fn from_request(request: Request, state: &S) -> Result<Self, Self::Rejection> {
+        let read = Bytes::from_request(request, state).await;
+        read.map(Self).map_err(|rejection| ApiError(unreadable(&rejection)))
+    }
+}
+
+fn unreadable(rejection: &BytesRejection) -> Problem {
+    if rejection.status() == StatusCode::PAYLOAD_TOO_LARGE {
+        Problem::new(Code::PayloadTooLarge, "the body exceeds the limit of this service (setting max_body_mib)")
+    } else {
+        Problem::new(Code::InvalidHeader, format!("the body could not be read: {}", rejection.body_text()))
+    }
+}
+
+/// A JSON body as `T`.
+#[derive(Debug)]
+pub struct JsonBody<T>(pub T);
+
+impl<T, S> FromRequest<S> for JsonBody<T>
+where
+    T: DeserializeOwned + ToSchema + 'static,
+    S: Send + Sync,
+{
+    type Rejection = ApiError;
+
+    async fn from_request(request: Request, state: &S) -> Result<Self, Self::Rejection> {
+        media_type(request.headers(), &[MediaType::Json])?;
+        let Body(bytes) = Body::from_request(request, state).await?;
+        parse(&bytes).map(Self).map_err(ApiError)
+    }
+}
+
+/// Reads the bytes as `T`, straight into the type: only a refusal is looked at twice.
+fn parse<T: DeserializeOwned + ToSchema + 'static>(bytes: &[u8]) -> Result<T, Problem> {
+    let mut deserializer = serde_json::Deserializer::from_slice(bytes);
+    let value = serde_path_to_error::deserialize(&mut deserializer);
+    match value {
+        Ok(value) => deserializer.end().map(|()| value).map_err(|error| not_json(&error)),
+        Err(error) => Err(json_fault::<T>(bytes, &error, "")),
+    }
+}
+
+/// Why `bytes` are no `T`: not JSON at all (400), or JSON with fields at fault (422), their pointers below `prefix`.
+#[must_use]
+pub fn json_fault<T: ToSchema + 'static>(
+    bytes: &[u8],
+    error: &serde_path_to_error::Error<serde_json::Error>,
+    prefix: &str,
+) -> Problem {
+    let value: serde_json::Value = match serde_json::from_slice(bytes) {
+        Ok(value) => value,
+        Err(error) => return not_json(&error),
+    };
+    let faults = schema::explain::<T>(&value, error, prefix);
+    let detail = faults
+        .first()
+        .map_or_else(String::new, |first| format!("{} {}", pointer_or_body(&first.pointer), first.detail));
+    Problem::new(Code::InvalidBody, detail).with_errors(faults)
+}
+
+fn pointer_or_body(pointer: &str) -> &str {
+    if pointer.is_empty() { "the body" } else { pointer }
+}
+
+fn not_json(error: &serde_json::Error) -> Problem {
+    Problem::new(Code::InvalidJson, format!("not JSON: {error}"))
+}

@@ -1,0 +1,9 @@
+//! Extractors whose every refusal is a problem with a pointer: axum's own answer in plain text.
+
+mod body;
+mod conditions;
+mod params;
+
+pub use body::{Body, JsonBody, MediaType, json_fault, media_type};
+pub use conditions::{Conditions, etag};
+pub use params::{Date, Path, Query};

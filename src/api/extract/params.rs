@@ -1,0 +1,162 @@
+//! Parameters of the address.
+
+use std::{fmt, str::FromStr};
+
+use axum::{
+    extract::{FromRequestParts, RawPathParams},
+    http::request::Parts,
+};
+use jiff::civil;
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use utoipa::{
+    PartialSchema, ToSchema,
+    openapi::{
+        KnownFormat, RefOr, SchemaFormat,
+        schema::{ObjectBuilder, Schema, Type},
+    },
+};
+
+use crate::{
+    api::problem::ApiError,
+    domain::problem::{Code, Problem},
+};
+
+/// The query of the address as `T`; a name that `T` does not know is refused.
+#[derive(Clone, Copy, Debug)]
+pub struct Query<T>(pub T);
+
+impl<T: DeserializeOwned, S: Sync> FromRequestParts<S> for Query<T> {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Self::Rejection> {
+        parse_query(parts.uri.query().unwrap_or_default()).map(Self).map_err(ApiError)
+    }
+}
+
+fn parse_query<T: DeserializeOwned>(query: &str) -> Result<T, Problem> {
+    let deserializer = serde_urlencoded::Deserializer::new(form_urlencoded::parse(query.as_bytes()));
+    serde_path_to_error::deserialize(deserializer).map_err(|error| parameter_fault(&error))
+}
+
+fn parameter_fault<E: fmt::Display>(error: &serde_path_to_error::Error<E>) -> Problem {
+    let path = error.path().to_string();
+    let message = error.inner().to_string();
+    // the path of an unknown or missing field is the struct itself: its name stands in the message, in backquotes
+    let name = match path.as_str() {
+        "." => message.split('`').nth(1).unwrap_or_default().to_owned(),
+        _ => path,
+    };
+    Problem::field(Code::InvalidParameter, format!("/{name}"), "invalid_parameter", message)
+}
+
+/// The variable parts of the path as `T`: a struct with their names.
+#[derive(Clone, Copy, Debug)]
+pub struct Path<T>(pub T);
+
+impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Path<T> {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Self::Rejection> {
+        let raw = RawPathParams::from_request_parts(parts, state).await.map_err(|error| {
+            Problem::field(Code::InvalidParameter, "/path", "invalid_parameter", error.to_string())
+        })?;
+        // one pair a part, each percent-decoded: the same reader as for the query serves both
+        let encoded =
+            form_urlencoded::Serializer::new(String::new()).extend_pairs(raw.iter()).finish();
+        parse_query(&encoded).map(Self).map_err(ApiError)
+    }
+}
+
+/// A calendar day in the one form that is accepted: `YYYY-MM-DD`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Date(pub civil::Date);
+
+impl FromStr for Date {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let refuse = || format!("must be an existing day written YYYY-MM-DD, not {text:?}");
+        let bytes = text.as_bytes();
+        let form = bytes.len() == 10
+            && bytes.iter().enumerate().all(|(i, b)| if i == 4 || i == 7 { *b == b'-' } else { b.is_ascii_digit() });
+        if !form {
+            return Err(refuse());
+        }
+        text.parse().map(Self).map_err(|_| refuse())
+    }
+}
+
+impl TryFrom<String> for Date {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse()
+    }
+}
+
+impl From<Date> for String {
+    fn from(date: Date) -> Self {
+        date.0.to_string()
+    }
+}
+
+impl PartialSchema for Date {
+    fn schema() -> RefOr<Schema> {
+        ObjectBuilder::new()
+            .schema_type(Type::String)
+            .format(Some(SchemaFormat::KnownFormat(KnownFormat::Date)))
+            .description(Some("A calendar day, YYYY-MM-DD; for a station its local day."))
+            .examples([serde_json::json!("2007-02-14")])
+            .into()
+    }
+}
+
+impl ToSchema for Date {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Range {
+        #[serde(default)]
+        from: Option<Date>,
+        #[serde(default)]
+        limit: Option<u32>,
+    }
+
+    fn fault(query: &str) -> (String, String) {
+        let problem = parse_query::<Range>(query).unwrap_err();
+        (problem.errors[0].pointer.clone(), problem.errors[0].detail.clone())
+    }
+
+    #[test]
+    fn a_fault_names_the_parameter_and_what_is_accepted() {
+        let (pointer, detail) = fault("from=2007-02-30");
+        assert_eq!(pointer, "/from");
+        assert!(detail.contains("YYYY-MM-DD"), "{detail}");
+        let (pointer, detail) = fault("limit=many");
+        assert_eq!(pointer, "/limit");
+        assert!(detail.contains("invalid digit"), "{detail}");
+        let (pointer, detail) = fault("form=2007-02-01");
+        assert_eq!(pointer, "/form");
+        assert!(detail.contains("`from`"), "{detail}");
+    }
+
+    #[test]
+    fn only_one_form_of_a_date_is_a_date() {
+        assert!("2007-02-14".parse::<Date>().is_ok());
+        for bad in ["20070214", "2007-2-14", "2007-02-30", "2007-02-14T00:00", "-007-02-14", "", "2007-W07-3"] {
+            assert!(bad.parse::<Date>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_good_query_is_read() {
+        let range: Range = parse_query("from=2007-02-14&limit=5").unwrap();
+        assert_eq!(range.limit, Some(5));
+        assert_eq!(range.from.unwrap().0, civil::date(2007, 2, 14));
+    }
+}

@@ -1,0 +1,365 @@
+//! `/v1/stations/{station}/forecasts`: what the active model says of a day, and which past days speak for it.
+
+use std::sync::Arc;
+
+use axum::{extract::State, response::Response};
+use jiff::{ToSpan, civil};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use utoipa::{IntoParams, ToSchema};
+use uuid::Uuid;
+
+use super::{
+    AppState,
+    avalanches::DayPath,
+    extract::{Conditions, Date, Path, Query},
+    models,
+    problem::ApiResult,
+    respond,
+    stations::{Limit, StationPath},
+};
+use crate::{
+    domain::{
+        ids::StationId,
+        problem::{Code, Problem},
+        station::Station,
+    },
+    science::forecast::{
+        day::{DayRecord, season_of},
+        model::{Category, Forecast, ForecastError, InputQuality, SimilarDay, TrainedModel},
+    },
+};
+
+/// Days between the last observation and the day that is forecast.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "u8")]
+pub struct Lead(pub u8);
+
+impl TryFrom<u8> for Lead {
+    type Error = &'static str;
+
+    fn try_from(lead: u8) -> Result<Self, Self::Error> {
+        if lead <= 1 { Ok(Self(lead)) } else { Err("must be 0 (nowcast) or 1 (tomorrow)") }
+    }
+}
+
+/// Which forecast of the day.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub struct ForecastQuery {
+    /// Days between the last observation that is used and the day that is forecast: 0 (nowcast) or 1.
+    #[serde(default)]
+    #[param(value_type = Option<u8>, minimum = 0, maximum = 1, default = 0)]
+    lead: Lead,
+    /// A model other than the active one; it must be of this station and lead.
+    #[serde(default)]
+    model_id: Option<Uuid>,
+}
+
+/// Which similar days.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub struct SimilarQuery {
+    /// Days between the last observation that is used and the day that is forecast: 0 (nowcast) or 1.
+    #[serde(default)]
+    #[param(value_type = Option<u8>, minimum = 0, maximum = 1, default = 0)]
+    lead: Lead,
+    /// A model other than the active one; it must be of this station and lead.
+    #[serde(default)]
+    model_id: Option<Uuid>,
+    /// Largest number of days in the answer, 1 to 1000.
+    #[serde(default)]
+    #[param(value_type = Option<u32>, minimum = 1, maximum = 1000, default = 10)]
+    limit: Option<Limit<10, 1000>>,
+}
+
+/// Forecasts of which days.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub struct ForecastsQuery {
+    /// First day that is forecast, YYYY-MM-DD; left out: the beginning of the season of `to`.
+    #[serde(default)]
+    #[param(inline)]
+    from: Option<Date>,
+    /// Last day that is forecast, YYYY-MM-DD, at most 400 days after `from`; left out: the newest that can be forecast.
+    #[serde(default)]
+    #[param(inline)]
+    to: Option<Date>,
+    /// Days between the last observation that is used and the day that is forecast: 0 (nowcast) or 1.
+    #[serde(default)]
+    #[param(value_type = Option<u8>, minimum = 0, maximum = 1, default = 0)]
+    lead: Lead,
+    /// A model other than the active one; it must be of this station and lead.
+    #[serde(default)]
+    model_id: Option<Uuid>,
+}
+
+/// A forecast of one day.
+#[derive(Serialize, ToSchema)]
+pub struct ForecastResource {
+    /// The station.
+    #[schema(inline)]
+    station: StationId,
+    /// True where the station or the model is made of data from a generator: no forecast of a real place.
+    synthetic: bool,
+    /// The day that is forecast.
+    #[schema(inline)]
+    date: Date,
+    /// Days between the last observation that was used and the day that is forecast.
+    lead: u8,
+    /// The newest day of which observations were used.
+    #[schema(inline)]
+    base_date: Date,
+    /// What counts as an avalanche day: `observed` or `presumed`.
+    #[schema(value_type = String, example = "observed")]
+    label: crate::science::forecast::day::Label,
+    /// Calibrated probability of an avalanche day.
+    #[schema(minimum = 0, maximum = 1)]
+    probability: f64,
+    /// What the probability means against the threshold.
+    #[schema(value_type = String, example = "avalanche_day")]
+    category: Category,
+    /// From this probability on a day counts as an avalanche day.
+    #[schema(minimum = 0, maximum = 1)]
+    threshold: f64,
+    /// Decision value of the machine, 0 on its boundary.
+    decision_value: f64,
+    /// The model that said so.
+    model_id: Uuid,
+    /// The feature set that the model looks at.
+    #[schema(value_type = String, example = "expert")]
+    feature_set: crate::science::forecast::features::FeatureSetId,
+    /// The version of the feature set.
+    feature_set_version: u32,
+    /// What the inputs lacked.
+    inputs: InputQuality,
+    /// Version of firn, SHA-256 of what the model was trained on, and its seed.
+    #[schema(value_type = Object)]
+    provenance: Value,
+}
+
+/// Forecasts of a range of days.
+#[derive(Serialize, ToSchema)]
+pub struct ForecastList {
+    /// In the order of the days; a day whose base day has no observation is not in the list.
+    forecasts: Vec<ForecastResource>,
+}
+
+/// The past days that are nearest to a forecast in the eyes of its machine.
+#[derive(Serialize, ToSchema)]
+pub struct SimilarDays {
+    /// The station.
+    #[schema(inline)]
+    station: StationId,
+    /// True where the days are those of a generator and never happened.
+    synthetic: bool,
+    /// The day that is forecast.
+    #[schema(inline)]
+    date: Date,
+    /// Days between the last observation that was used and the day that is forecast.
+    lead: u8,
+    /// The model.
+    model_id: Uuid,
+    /// Most similar first; only days that the machine remembers (its support vectors).
+    similar_days: Vec<SimilarDay>,
+}
+
+/// The model that is to speak, and where its words come from.
+struct Speaker {
+    station: Station,
+    lead: u8,
+    id: Uuid,
+    model: Arc<TrainedModel>,
+    provenance: Value,
+    synthetic: bool,
+}
+
+impl Speaker {
+    async fn find(state: &AppState, station: &StationId, lead: Lead, model: Option<Uuid>) -> ApiResult<Self> {
+        let station = state.station(station).await?;
+        let lead = lead.0;
+        let id = match model {
+            Some(id) => id,
+            None => match state.store.active_model(&station.id, lead).await? {
+                Some(activation) => activation.model,
+                None => return Err(models::none_active(&station.id, lead).into()),
+            },
+        };
+        let record = state.store.model(id).await?.ok_or_else(|| models::unknown(id))?;
+        if record.station != station.id || record.lead != lead {
+            let detail = format!("must be a model of station {} and lead {lead}", station.id);
+            return Err(Problem::field(Code::ModelMismatch, "/model_id", "model_mismatch", detail).into());
+        }
+        let model = state.store.trained_model(id).await?.ok_or_else(|| models::unknown(id))?;
+        let part = |name: &str| record.summary.get(name).cloned().unwrap_or(Value::Null);
+        let synthetic = station.synthetic || part("synthetic").as_bool().unwrap_or(false);
+        Ok(Self { station, lead, id, model, provenance: part("provenance"), synthetic })
+    }
+
+    /// What the model reads for the forecasts of `first` to `last`: no feature reaches beyond the edge of a season.
+    async fn history(&self, state: &AppState, first: civil::Date, last: civil::Date) -> ApiResult<Vec<DayRecord>> {
+        let base = before(first, self.lead)?;
+        let from = civil::Date::new(season_of(base), 7, 1).unwrap_or(base);
+        Ok(state.store.day_records(&self.station.id, from, last).await?)
+    }
+
+    fn resource(&self, forecast: Forecast) -> ForecastResource {
+        ForecastResource {
+            station: self.station.id.clone(),
+            synthetic: self.synthetic,
+            date: Date(forecast.date),
+            lead: forecast.lead,
+            base_date: Date(forecast.base_date),
+            label: self.model.label,
+            probability: forecast.probability,
+            category: forecast.category,
+            threshold: forecast.threshold,
+            decision_value: forecast.decision_value,
+            model_id: self.id,
+            feature_set: self.model.feature_set,
+            feature_set_version: self.model.feature_set_version,
+            inputs: forecast.inputs,
+            provenance: self.provenance.clone(),
+        }
+    }
+
+    /// The words for a day that cannot be forecast, with the nearest day that may have been meant.
+    async fn refuse(&self, state: &AppState, error: ForecastError) -> ApiResult<Problem> {
+        let ForecastError::NoObservation { date } = error else {
+            return Ok(match error {
+                ForecastError::NoBaseDay { .. } => {
+                    Problem::field(Code::InvalidParameter, "/date", "out_of_range", error.to_string())
+                }
+                error => Problem::internal(error),
+            });
+        };
+        let nearest = state.store.nearest_observation(&self.station.id, date).await?;
+        let nearest = nearest.map_or_else(
+            || "the station has no observations at all".to_owned(),
+            |nearest| format!("the nearest day with one is {nearest}"),
+        );
+        let detail = format!(
+            "{} has no observation of {date} that the model reads, and a forecast of lead {} needs one; {nearest}",
+            self.station.id, self.lead
+        );
+        Ok(Problem::new(Code::NoObservation, detail))
+    }
+
+    async fn forecast(&self, state: &AppState, date: civil::Date) -> ApiResult<ForecastResource> {
+        let history = self.history(state, date, date).await?;
+        match self.model.forecast(&history, date) {
+            Ok(forecast) => Ok(self.resource(forecast)),
+            Err(error) => Err(self.refuse(state, error).await?.into()),
+        }
+    }
+
+    /// The newest day that can be forecast.
+    async fn newest(&self, state: &AppState) -> ApiResult<civil::Date> {
+        let last = state.store.last_observation(&self.station.id).await?;
+        let last = last.ok_or_else(|| {
+            Problem::new(Code::NoObservation, format!("{} has no observations at all", self.station.id))
+        })?;
+        Ok(last.checked_add(i64::from(self.lead).days()).unwrap_or(last))
+    }
+}
+
+fn before(date: civil::Date, days: u8) -> Result<civil::Date, Problem> {
+    date.checked_sub(i64::from(days).days()).map_err(|_| {
+        let detail = format!("there is no day {days} day(s) before {date}");
+        Problem::field(Code::InvalidParameter, "/date", "out_of_range", detail)
+    })
+}
+
+/// The forecast of a day by the active model, or by `model_id`. It is computed from what is stored now.
+#[utoipa::path(get, path = "/v1/stations/{station}/forecasts/{date}", operation_id = "get_forecast", tag = "forecasts",
+    params(DayPath, ForecastQuery), responses((status = 200, description = "The forecast.", body = ForecastResource)))]
+pub async fn get_forecast(
+    State(state): State<AppState>,
+    Path(path): Path<DayPath>,
+    Query(query): Query<ForecastQuery>,
+    conditions: Conditions,
+) -> ApiResult<Response> {
+    let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
+    respond::resource(&conditions, &speaker.forecast(&state, path.date.0).await?)
+}
+
+/// The forecast of the newest day that can be forecast.
+#[utoipa::path(get, path = "/v1/stations/{station}/forecasts/latest", operation_id = "get_latest_forecast", tag = "forecasts",
+    params(StationPath, ForecastQuery), responses((status = 200, description = "The forecast.", body = ForecastResource)))]
+pub async fn get_latest_forecast(
+    State(state): State<AppState>,
+    Path(path): Path<StationPath>,
+    Query(query): Query<ForecastQuery>,
+    conditions: Conditions,
+) -> ApiResult<Response> {
+    let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
+    let date = speaker.newest(&state).await?;
+    respond::resource(&conditions, &speaker.forecast(&state, date).await?)
+}
+
+/// The forecasts of a range of days: what the model says now of days that have passed. A day that was in the training
+/// of the model is not a fair test of it; `/v1/models/{model}/evaluation` is.
+#[utoipa::path(get, path = "/v1/stations/{station}/forecasts", operation_id = "list_forecasts", tag = "forecasts",
+    params(StationPath, ForecastsQuery), responses((status = 200, description = "The forecasts.", body = ForecastList)))]
+pub async fn list_forecasts(
+    State(state): State<AppState>,
+    Path(path): Path<StationPath>,
+    Query(query): Query<ForecastsQuery>,
+    conditions: Conditions,
+) -> ApiResult<Response> {
+    const LONGEST_DAYS: i32 = 400;
+    let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
+    let last = match query.to {
+        Some(to) => to.0,
+        None => speaker.newest(&state).await?,
+    };
+    let first = match query.from {
+        Some(from) => from.0,
+        None => civil::Date::new(season_of(last), 7, 1).unwrap_or(last),
+    };
+    let length = (last - first).get_days();
+    if !(0..=LONGEST_DAYS).contains(&length) {
+        let detail = format!("must be from 0 to {LONGEST_DAYS} days after from, {first}");
+        return Err(Problem::field(Code::InvalidParameter, "/to", "out_of_range", detail).into());
+    }
+    let history = speaker.history(&state, first, last).await?;
+    let model = Arc::clone(&speaker.model);
+    let forecasts: Vec<Forecast> = tokio::task::spawn_blocking(move || {
+        first.series(1.day()).take_while(|date| *date <= last).filter_map(|date| model.forecast(&history, date).ok()).collect()
+    })
+    .await
+    .map_err(Problem::internal)?;
+    let forecasts = forecasts.into_iter().map(|forecast| speaker.resource(forecast)).collect();
+    respond::resource(&conditions, &ForecastList { forecasts })
+}
+
+/// The past days that are nearest to a forecast in the eyes of its machine: their date, what happened, the kernel value,
+/// and the signed contribution alpha y k to the decision value.
+#[utoipa::path(get, path = "/v1/stations/{station}/forecasts/{date}/similar-days", operation_id = "list_similar_days",
+    tag = "forecasts", params(DayPath, SimilarQuery), responses((status = 200, description = "The days.", body = SimilarDays)))]
+pub async fn list_similar_days(
+    State(state): State<AppState>,
+    Path(path): Path<DayPath>,
+    Query(query): Query<SimilarQuery>,
+    conditions: Conditions,
+) -> ApiResult<Response> {
+    let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
+    let history = speaker.history(&state, path.date.0, path.date.0).await?;
+    let count = Limit::or_default(query.limit) as usize;
+    let similar_days = match speaker.model.similar_days(&history, path.date.0, count) {
+        Ok(days) => days,
+        Err(error) => return Err(speaker.refuse(&state, error).await?.into()),
+    };
+    let answer = SimilarDays {
+        station: speaker.station.id.clone(),
+        synthetic: speaker.synthetic,
+        date: path.date,
+        lead: speaker.lead,
+        model_id: speaker.id,
+        similar_days,
+    };
+    respond::resource(&conditions, &answer)
+}

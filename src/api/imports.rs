@@ -1,0 +1,391 @@
+//! `POST /v1/stations/{station}/observations`: one day or many, as JSON, NDJSON, CSV or a service's export.
+
+use std::collections::HashMap;
+
+use axum::{
+    Json,
+    extract::State,
+    http::HeaderMap,
+    response::{IntoResponse, Response},
+};
+use jiff::civil;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use utoipa::{IntoParams, ToSchema};
+
+use super::{
+    AppState,
+    auth::Caller,
+    extract::{Body, Date, MediaType, Path, Query, json_fault, media_type},
+    observations::contradictions,
+    problem::ApiResult,
+    stations::StationPath,
+};
+use crate::{
+    clock,
+    domain::{
+        observation::DatedObservation,
+        problem::{Code, FieldError, Problem},
+        schema,
+        station::{Station, ZoneName},
+    },
+    formats::{Flag, FormatError, Import, ImportedRow, ndjson, observations_csv, sais},
+    store::{
+        observations::{Author, DayWrite},
+        stations::Written,
+    },
+};
+
+/// How the body is to be read.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub struct ImportQuery {
+    /// `sais`: the body is an export of the Scottish Avalanche Information Service (`Content-Type: text/csv`).
+    #[serde(default)]
+    #[param(inline)]
+    format: Option<Format>,
+    /// Store the good rows although others are refused; without it an import stores all rows or none.
+    #[serde(default)]
+    #[param(value_type = Option<bool>, default = false)]
+    partial: Option<bool>,
+    /// For `format=sais`: the area to read from a file that has several.
+    #[serde(default)]
+    #[param(example = "Lochaber", max_length = 100)]
+    area: Option<String>,
+}
+
+/// The export of a service.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Format {
+    /// The export of the Scottish Avalanche Information Service.
+    Sais,
+}
+
+/// What became of an import, with a line a row.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct ImportReport {
+    /// How the body was read: json, ndjson, csv or sais.
+    format: &'static str,
+    /// Rows that were read.
+    rows: usize,
+    /// Rows that were stored.
+    accepted: usize,
+    /// Rows that were not.
+    refused: usize,
+    /// Days that are new.
+    created: usize,
+    /// Days that changed.
+    updated: usize,
+    /// Days that said what was known already.
+    unchanged: usize,
+    /// Accepted rows of which at least one field was flagged.
+    flagged: usize,
+    /// Columns that hold nothing: missing on every row, or an optional column that is 0 on every row.
+    not_reported: Vec<String>,
+    /// Columns that are not read.
+    ignored_columns: Vec<String>,
+    /// What was assumed to read the file.
+    notes: Vec<String>,
+    /// A line a row, in the order of the body.
+    report: Vec<RowReport>,
+}
+
+/// What became of a row.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct RowReport {
+    /// Where it begins: the line of the file, from 1; of a JSON array the position of the day, from 1.
+    line: u64,
+    /// The day; null where it could not be read.
+    #[schema(inline)]
+    date: Option<Date>,
+    /// `accepted` or `refused`.
+    status: RowStatus,
+    /// What an accepted row did.
+    outcome: Option<RowOutcome>,
+    /// What was noticed in an accepted row.
+    flags: Vec<Flag>,
+    /// Why a row was refused.
+    errors: Vec<FieldError>,
+}
+
+/// Whether a row was stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum RowStatus {
+    /// It is good. It was stored unless the whole import was refused.
+    Accepted,
+    /// It is not.
+    Refused,
+}
+
+/// What a stored row did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum RowOutcome {
+    /// The day is new.
+    Created,
+    /// The day changed.
+    Updated,
+    /// The day was known already.
+    Unchanged,
+    /// The row was joined with another row of the same day, which has the outcome.
+    Merged,
+}
+
+/// One row, whatever it came as.
+struct Row {
+    line: u64,
+    date: Option<civil::Date>,
+    outcome: Result<(DayWrite, Vec<Flag>), Vec<FieldError>>,
+}
+
+/// All rows of a body.
+#[derive(Default)]
+struct Rows {
+    format: &'static str,
+    rows: Vec<Row>,
+    merged: Vec<(u64, civil::Date)>,
+    not_reported: Vec<String>,
+    ignored_columns: Vec<String>,
+    notes: Vec<String>,
+}
+
+/// Records one day or many; a day that is known is replaced, and sending the same again changes nothing. All rows are
+/// stored or none, unless `partial=true`.
+///
+/// JSON (one day or an array of days) and NDJSON are refused where a value is impossible. A file (CSV or the export of a
+/// service) is read as it is: an impossible field becomes missing and is flagged, and only an unreadable date or
+/// structure refuses a row.
+#[utoipa::path(post, path = "/v1/stations/{station}/observations", operation_id = "import_observations", tag = "observations",
+    params(StationPath, ImportQuery),
+    request_body(content(
+        (DayOrDays = "application/json", example = json!([{"date": "2007-02-14", "air_temperature": -3.5, "avalanche_activity": "none"}])),
+        (String = "application/x-ndjson", example = "{\"date\": \"2007-02-14\", \"air_temperature\": -3.5}\n"),
+        (String = "text/csv", example = "date,air_temperature,avalanche_activity\n2007-02-14,-3.5,none\n"))),
+    responses((status = 200, description = "What became of every row.", body = ImportReport)))]
+pub async fn import_observations(
+    State(state): State<AppState>,
+    Path(path): Path<StationPath>,
+    Query(query): Query<ImportQuery>,
+    caller: Caller,
+    headers: HeaderMap,
+    Body(bytes): Body,
+) -> ApiResult<Response> {
+    let media = media_type(&headers, &[MediaType::Json, MediaType::Ndjson, MediaType::Csv])?;
+    if query.format.is_some() && media != MediaType::Csv {
+        return Err(Problem::new(Code::UnsupportedMediaType, "format=sais needs Content-Type: text/csv").into());
+    }
+    let station = state.station(&path.station).await?;
+    let rows = match (media, query.format) {
+        (MediaType::Json, _) => from_json(&bytes)?,
+        (MediaType::Ndjson, _) => from_ndjson(&bytes),
+        (MediaType::Csv, None) => from_file("csv", observations_csv::read(&bytes))?,
+        (MediaType::Csv, Some(Format::Sais)) => from_sais(&bytes, &station, query.area.as_deref())?,
+    };
+    store(&state, &station, rows, query.partial.unwrap_or(false), caller).await
+}
+
+/// One day or an array of days.
+#[derive(ToSchema)]
+#[schema(as = DayOrDays)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "stands in the contract; the bodies are read row by row")]
+pub enum DayOrDays {
+    /// One day.
+    One(DatedObservation),
+    /// Many days.
+    Many(Vec<DatedObservation>),
+}
+
+fn from_json(bytes: &[u8]) -> Result<Rows, Problem> {
+    let value: Value = serde_json::from_slice(bytes)
+        .map_err(|error| Problem::new(Code::InvalidJson, format!("not JSON: {error}")))?;
+    let rows = match &value {
+        Value::Array(days) => {
+            (1..).zip(days).zip(0_usize..).map(|((line, day), at)| json_row(line, day, &format!("/{at}"))).collect()
+        }
+        day => vec![json_row(1, day, "")],
+    };
+    Ok(Rows { format: "json", rows: without_repeats(rows), ..Rows::default() })
+}
+
+fn json_row(line: u64, value: &Value, prefix: &str) -> Row {
+    let date = value.get("date").and_then(Value::as_str).and_then(|text| text.parse::<Date>().ok()).map(|date| date.0);
+    Row { line, date, outcome: schema::read(value, prefix).and_then(|day| checked(day, prefix)) }
+}
+
+fn checked(day: DatedObservation, prefix: &str) -> Result<(DayWrite, Vec<Flag>), Vec<FieldError>> {
+    let (date, day) = day.split();
+    let faults = contradictions(&day.contradictions(), prefix);
+    if !faults.is_empty() {
+        return Err(faults);
+    }
+    Ok((DayWrite { date, values: Some(day.values()), avalanche: day.avalanche() }, Vec::new()))
+}
+
+fn from_ndjson(bytes: &[u8]) -> Rows {
+    let row = |line: ndjson::JsonLine<'_>| {
+        let prefix = format!("/{}", line.line);
+        let mut reader = serde_json::Deserializer::from_slice(line.json);
+        let day: Result<DatedObservation, _> = serde_path_to_error::deserialize(&mut reader);
+        match day {
+            Ok(day) if reader.end().is_ok() => {
+                let (date, _) = day.split();
+                Row { line: line.line, date: Some(date), outcome: checked(day, &prefix) }
+            }
+            Ok(_) => {
+                let fault = FieldError::new(prefix, "invalid_json", "must be one JSON object a line");
+                Row { line: line.line, date: None, outcome: Err(vec![fault]) }
+            }
+            Err(error) => {
+                let problem = json_fault::<DatedObservation>(line.json, &error, &prefix);
+                let faults = if problem.errors.is_empty() {
+                    vec![FieldError::new(prefix, "invalid_json", problem.detail)]
+                } else {
+                    problem.errors
+                };
+                let value: Option<Value> = serde_json::from_slice(line.json).ok();
+                let date = value.as_ref().and_then(|value| value.get("date")?.as_str()?.parse::<Date>().ok());
+                Row { line: line.line, date: date.map(|date| date.0), outcome: Err(faults) }
+            }
+        }
+    };
+    let rows = without_repeats(ndjson::lines(bytes).map(row).collect());
+    Rows { format: "ndjson", rows, ..Rows::default() }
+}
+
+/// Refuses a row that repeats the day of an accepted one: which of the two is meant cannot be told.
+fn without_repeats(mut rows: Vec<Row>) -> Vec<Row> {
+    let mut first: HashMap<civil::Date, u64> = HashMap::new();
+    for row in &mut rows {
+        let Ok((write, _)) = &row.outcome else { continue };
+        let line = *first.entry(write.date).or_insert(row.line);
+        if line != row.line {
+            let detail = format!("{} is also row {line}: send a day once", write.date);
+            row.outcome = Err(vec![FieldError::new(format!("/{}/date", row.line), "duplicate_day", detail)]);
+        }
+    }
+    rows
+}
+
+fn from_sais(bytes: &[u8], station: &Station, area: Option<&str>) -> Result<Rows, Problem> {
+    // the service writes local midnight as UTC, so its own zone is the default and not UTC
+    let zone = station.body.timezone.as_ref().map_or(sais::DEFAULT_ZONE, ZoneName::as_str);
+    from_file("sais", sais::read(bytes, zone, area))
+}
+
+fn from_file(format: &'static str, import: Result<Import, FormatError>) -> Result<Rows, Problem> {
+    let import = import.map_err(|error| malformed(&error))?;
+    let rows = import.rows.into_iter().map(file_row).collect();
+    Ok(Rows {
+        format,
+        rows,
+        merged: import.merged.iter().map(|row| (row.line, row.date)).collect(),
+        not_reported: import.not_reported,
+        ignored_columns: import.ignored_columns,
+        notes: import.notes,
+    })
+}
+
+fn file_row(row: ImportedRow) -> Row {
+    let outcome = match (row.outcome, row.date) {
+        (Ok(day), Some(date)) => {
+            Ok((DayWrite { date, values: Some(day.values), avalanche: day.avalanche }, day.flags))
+        }
+        (Ok(_), None) => Err(vec![FieldError::new(format!("/{}/date", row.line), "unreadable_date", "has no date")]),
+        (Err(error), _) => {
+            let field = error.field.as_deref().map_or_else(String::new, |field| format!("/{field}"));
+            let place = error.column.map_or_else(String::new, |column| format!(" (line {}, column {column})", error.line));
+            let code = serde_json::to_value(error.code).ok();
+            let code = code.as_ref().and_then(Value::as_str).unwrap_or("refused").to_owned();
+            Err(vec![FieldError::new(format!("/{}{field}", row.line), code, format!("{}{place}", error.detail))])
+        }
+    };
+    Row { line: row.line, date: row.date, outcome }
+}
+
+fn malformed(error: &FormatError) -> Problem {
+    let problem = Problem::new(Code::MalformedFile, error.to_string());
+    match error.place() {
+        Some((line, column)) => {
+            let column = column.map_or(Value::Null, Value::from);
+            problem.with("line", Value::from(line)).with("column", column)
+        }
+        None => problem,
+    }
+}
+
+async fn store(state: &AppState, station: &Station, rows: Rows, partial: bool, caller: Caller) -> ApiResult<Response> {
+    let refused = rows.rows.iter().filter(|row| row.outcome.is_err()).count();
+    if refused > 0 && !partial {
+        return Err(refuse(rows, refused).into());
+    }
+    let writes: Vec<DayWrite> = rows.rows.iter().filter_map(|row| Some(row.outcome.as_ref().ok()?.0.clone())).collect();
+    let author = Author { name: caller.name, at: clock::now(), source: rows.format };
+    let written = state.store.put_days(&station.id, &writes, &author).await?;
+    Ok(Json(report(rows, &written)).into_response())
+}
+
+/// The problem of an import that stores nothing: of one JSON day like that of a PUT, else with the report.
+fn refuse(rows: Rows, refused: usize) -> Problem {
+    let faults: Vec<FieldError> =
+        rows.rows.iter().filter_map(|row| row.outcome.as_ref().err()).flatten().take(100).cloned().collect();
+    let first = faults.first().map_or_else(String::new, |first| format!("{} {}", first.pointer, first.detail));
+    if rows.format == "json" {
+        return Problem::new(Code::InvalidBody, first).with_errors(faults);
+    }
+    let detail = format!("{refused} of {} rows were refused and nothing was stored; the first: {first}", rows.rows.len());
+    let report = serde_json::to_value(report(rows, &[]).report).unwrap_or_default();
+    Problem::new(Code::ImportRefused, detail).with_errors(faults).with("report", report)
+}
+
+fn report(rows: Rows, written: &[Written]) -> ImportReport {
+    let count = |which: Written| written.iter().filter(|written| **written == which).count();
+    let mut outcomes = written.iter();
+    let mut report: Vec<RowReport> = rows.rows.into_iter().map(|row| row_report(row, &mut outcomes)).collect();
+    let merged = |&(line, date): &(u64, civil::Date)| RowReport {
+        line,
+        date: Some(Date(date)),
+        status: RowStatus::Accepted,
+        outcome: (!written.is_empty()).then_some(RowOutcome::Merged),
+        flags: Vec::new(),
+        errors: Vec::new(),
+    };
+    report.extend(rows.merged.iter().map(merged));
+    report.sort_by_key(|row| row.line);
+    let refused = report.iter().filter(|row| row.status == RowStatus::Refused).count();
+    ImportReport {
+        format: rows.format,
+        rows: report.len(),
+        accepted: report.len() - refused,
+        refused,
+        created: count(Written::Created),
+        updated: count(Written::Updated),
+        unchanged: count(Written::Unchanged),
+        flagged: report.iter().filter(|row| !row.flags.is_empty()).count(),
+        not_reported: rows.not_reported,
+        ignored_columns: rows.ignored_columns,
+        notes: rows.notes,
+        report,
+    }
+}
+
+fn row_report<'a>(row: Row, outcomes: &mut impl Iterator<Item = &'a Written>) -> RowReport {
+    let (status, outcome, flags, errors) = match row.outcome {
+        Ok((_, flags)) => (RowStatus::Accepted, outcomes.next().copied().map(RowOutcome::from), flags, Vec::new()),
+        Err(errors) => (RowStatus::Refused, None, Vec::new(), errors),
+    };
+    RowReport { line: row.line, date: row.date.map(Date), status, outcome, flags, errors }
+}
+
+impl From<Written> for RowOutcome {
+    fn from(written: Written) -> Self {
+        match written {
+            Written::Created => Self::Created,
+            Written::Updated => Self::Updated,
+            Written::Unchanged => Self::Unchanged,
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! HTTP: one file a resource, each with its parameters, request, response and handlers; [`router`] lists them all.
+
+pub mod auth;
+mod avalanches;
+mod docs;
+mod extract;
+mod feature_sets;
+mod forecasts;
+mod health;
+mod imports;
+mod jobs;
+mod landing;
+mod models;
+mod observations;
+pub mod openapi;
+pub mod problem;
+mod processes;
+mod respond;
+mod router;
+mod stations;
+
+use std::sync::Arc;
+
+pub use router::{document, router};
+
+use crate::{config::Config, domain::problem::{Code, Problem}, jobs::Jobs, store::Store};
+
+/// What every handler may use.
+#[derive(Clone)]
+pub struct AppState {
+    /// Observations, models and jobs.
+    pub store: Store,
+    /// The job runner.
+    pub jobs: Jobs,
+    /// The settings in force.
+    pub config: Arc<Config>,
+    /// Cancelled once the service takes no new work.
+    pub stopping: tokio_util::sync::CancellationToken,
+}
+
+impl AppState {
+    /// The station of that name, or the problem that it is not there.
+    async fn station(&self, id: &crate::domain::ids::StationId) -> Result<crate::domain::station::Station, problem::ApiError> {
+        let station = self.store.station(id).await?;
+        station.ok_or_else(|| {
+            let detail = format!("there is no station {id}; create it with PUT /v1/stations/{id}");
+            Problem::new(Code::UnknownStation, detail).into()
+        })
+    }
+}

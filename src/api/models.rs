@@ -1,0 +1,293 @@
+//! `/v1/models` and a station's active model: the registry.
+
+use axum::{extract::State, http::StatusCode, response::Response};
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use utoipa::{IntoParams, ToSchema};
+use uuid::Uuid;
+
+use super::{
+    AppState,
+    auth::Caller,
+    extract::{Conditions, JsonBody, Path, Query},
+    feature_sets::FeatureSetResource,
+    forecasts::Lead,
+    landing::Link,
+    problem::ApiResult,
+    respond,
+    stations::{Limit, StationPath},
+};
+use crate::{
+    clock,
+    domain::{
+        ids::StationId,
+        problem::{Code, Problem},
+    },
+    science::forecast::{evaluation::Evaluation, features::FeatureSet},
+    store::models::{Activation, ModelRecord},
+};
+
+/// Which model.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Path)]
+#[serde(deny_unknown_fields)]
+pub struct ModelPath {
+    /// Id of the model.
+    model: Uuid,
+}
+
+/// Which models.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub struct ModelsQuery {
+    /// Only models of this station.
+    #[serde(default)]
+    #[param(inline)]
+    station: Option<StationId>,
+    /// Largest number of models in the answer, 1 to 1000.
+    #[serde(default)]
+    #[param(value_type = Option<u32>, minimum = 1, maximum = 1000, default = 100)]
+    limit: Option<Limit<100, 1000>>,
+    /// Where the page begins: `next` of the page before.
+    #[serde(default)]
+    cursor: Option<Uuid>,
+}
+
+/// For which lead.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub struct LeadQuery {
+    /// Days between the last observation and the day that is forecast: 0 or 1.
+    #[serde(default)]
+    #[param(value_type = Option<u8>, minimum = 0, maximum = 1, default = 0)]
+    lead: Lead,
+}
+
+/// A trained model; it never changes.
+#[derive(Serialize, ToSchema)]
+pub struct ModelResource {
+    /// Id of the model.
+    id: Uuid,
+    /// The station that it was trained for.
+    #[schema(inline)]
+    station: StationId,
+    /// True where it was trained on data that a generator made.
+    synthetic: bool,
+    /// Days between the last observation and the day that is forecast.
+    lead: u8,
+    /// The job that trained it.
+    job: Uuid,
+    /// When it was made.
+    created: Timestamp,
+    /// What it was trained on and what was chosen: label, feature set and its version, kernel, C, gamma, threshold and how
+    /// it was chosen, first and last day, days, events, seasons, base rate, number of support vectors.
+    #[schema(value_type = Object)]
+    training: Value,
+    /// Its scores with every season left out once.
+    #[schema(value_type = Object)]
+    scores: Value,
+    /// Version of firn, SHA-256 of everything that it was trained on, and seed: the same three give the same bits.
+    #[schema(value_type = Object)]
+    provenance: Value,
+    /// Where to go from here.
+    links: Vec<Link>,
+}
+
+/// A page of models.
+#[derive(Serialize, ToSchema)]
+pub struct ModelList {
+    /// Newest first.
+    models: Vec<ModelResource>,
+    /// The `cursor` of the next page; null on the last.
+    next: Option<Uuid>,
+}
+
+/// Which model forecasts for a station.
+#[derive(Serialize, ToSchema)]
+pub struct ActiveModel {
+    /// The station.
+    #[schema(inline)]
+    station: StationId,
+    /// Days between the last observation and the day that is forecast.
+    lead: u8,
+    /// The model.
+    model_id: Uuid,
+    /// Since when.
+    activated: Timestamp,
+    /// The name of the key that activated it; null for a first model and where no key was needed.
+    activated_by: Option<String>,
+    /// Where to go from here.
+    links: Vec<Link>,
+}
+
+/// The model to make the active one.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ActivateBody {
+    /// Id of a model of this station and lead.
+    model_id: Uuid,
+}
+
+impl From<ModelRecord> for ModelResource {
+    fn from(record: ModelRecord) -> Self {
+        let at = format!("/v1/models/{}", record.id);
+        let part = |name: &str| record.summary.get(name).cloned().unwrap_or(Value::Null);
+        Self {
+            id: record.id,
+            synthetic: part("synthetic").as_bool().unwrap_or(false),
+            training: part("training"),
+            scores: part("scores"),
+            provenance: part("provenance"),
+            station: record.station,
+            lead: record.lead,
+            job: record.job,
+            created: record.created,
+            links: vec![
+                Link::json(at.clone(), "self", "this document"),
+                Link::json(format!("{at}/evaluation"), "evaluation", "its scores beside those of other models"),
+                Link::json(format!("{at}/features"), "features", "its features"),
+            ],
+        }
+    }
+}
+
+fn active(station: StationId, lead: u8, activation: Activation) -> ActiveModel {
+    ActiveModel {
+        links: vec![Link::json(format!("/v1/models/{}", activation.model), "model", "the model")],
+        station,
+        lead,
+        model_id: activation.model,
+        activated: activation.activated,
+        activated_by: activation.activated_by,
+    }
+}
+
+fn tag(activation: &Activation) -> String {
+    format!("\"{}\"", activation.sequence)
+}
+
+async fn find(state: &AppState, id: Uuid) -> ApiResult<ModelRecord> {
+    let model = state.store.model(id).await?;
+    model.ok_or_else(|| unknown(id).into())
+}
+
+/// 404 for an id of no model.
+pub fn unknown(id: Uuid) -> Problem {
+    Problem::new(Code::UnknownModel, format!("there is no model {id}; GET /v1/models lists them"))
+}
+
+/// 404 for a station without an active model of that lead.
+pub fn none_active(station: &StationId, lead: u8) -> Problem {
+    let detail = format!("{station} has no active model of lead {lead}: train one with the process train-model");
+    Problem::new(Code::NoActiveModel, detail)
+}
+
+/// Lists models, newest first.
+#[utoipa::path(get, path = "/v1/models", operation_id = "list_models", tag = "models", params(ModelsQuery),
+    responses((status = 200, description = "A page of models.", body = ModelList)))]
+pub async fn list_models(
+    State(state): State<AppState>,
+    Query(query): Query<ModelsQuery>,
+    conditions: Conditions,
+) -> ApiResult<Response> {
+    let limit = Limit::or_default(query.limit);
+    let mut models = state.store.models(query.station.as_ref(), query.cursor, limit + 1).await?;
+    let more = models.len() > limit as usize;
+    models.truncate(limit as usize);
+    let next = models.last().filter(|_| more).map(|model| model.id);
+    let list = ModelList { models: models.into_iter().map(Into::into).collect(), next };
+    let mut response = respond::resource(&conditions, &list)?;
+    if let Some(cursor) = next {
+        let station = query.station.map_or_else(String::new, |station| format!("&station={station}"));
+        respond::link_next(&mut response, &format!("/v1/models?limit={limit}&cursor={cursor}{station}"));
+    }
+    Ok(response)
+}
+
+/// One model.
+#[utoipa::path(get, path = "/v1/models/{model}", operation_id = "get_model", tag = "models", params(ModelPath),
+    responses((status = 200, description = "The model.", body = ModelResource)))]
+pub async fn get_model(
+    State(state): State<AppState>,
+    Path(path): Path<ModelPath>,
+    conditions: Conditions,
+) -> ApiResult<Response> {
+    let model = find(&state, path.model).await?;
+    respond::resource(&conditions, &ModelResource::from(model))
+}
+
+/// How good a model is, on seasons that were kept from it, beside climatology, persistence, nearest neighbours and
+/// logistic regression: `scores` with every season left out once, `per_season`, `reliability`, `forward_chaining` (each
+/// season forecast from the ones before it only) and the `bootstrap` over seasons. An undefined score is null.
+#[utoipa::path(get, path = "/v1/models/{model}/evaluation", operation_id = "get_model_evaluation", tag = "models",
+    params(ModelPath), responses((status = 200, description = "The evaluation.", body = Evaluation)))]
+pub async fn get_evaluation(
+    State(state): State<AppState>,
+    Path(path): Path<ModelPath>,
+    conditions: Conditions,
+) -> ApiResult<Response> {
+    let evaluation = state.store.model_evaluation(path.model).await?;
+    let evaluation = evaluation.ok_or_else(|| unknown(path.model))?;
+    respond::resource(&conditions, &evaluation)
+}
+
+/// The features of a model, in the order of its columns.
+#[utoipa::path(get, path = "/v1/models/{model}/features", operation_id = "get_model_features", tag = "models",
+    params(ModelPath), responses((status = 200, description = "The features.", body = FeatureSetResource)))]
+pub async fn get_features(
+    State(state): State<AppState>,
+    Path(path): Path<ModelPath>,
+    conditions: Conditions,
+) -> ApiResult<Response> {
+    let model = state.store.trained_model(path.model).await?.ok_or_else(|| unknown(path.model))?;
+    let set = FeatureSet::new(model.feature_set, &model.reported);
+    respond::resource(&conditions, &FeatureSetResource::from(&set))
+}
+
+/// Which model forecasts for a station.
+#[utoipa::path(get, path = "/v1/stations/{station}/active-model", operation_id = "get_active_model", tag = "models",
+    params(StationPath, LeadQuery), responses((status = 200, description = "The active model.", body = ActiveModel)))]
+pub async fn get_active_model(
+    State(state): State<AppState>,
+    Path(path): Path<StationPath>,
+    Query(query): Query<LeadQuery>,
+    conditions: Conditions,
+) -> ApiResult<Response> {
+    let station = state.station(&path.station).await?;
+    let lead = query.lead.0;
+    let activation = state.store.active_model(&station.id, lead).await?;
+    let activation = activation.ok_or_else(|| none_active(&station.id, lead))?;
+    let tag = tag(&activation);
+    respond::tagged(&conditions, StatusCode::OK, &tag, &active(station.id, lead, activation))
+}
+
+/// Makes a model the one that forecasts for its station.
+#[utoipa::path(put, path = "/v1/stations/{station}/active-model", operation_id = "put_active_model", tag = "models",
+    params(StationPath, LeadQuery), request_body = ActivateBody,
+    responses((status = 200, description = "The active model now.", body = ActiveModel)))]
+pub async fn put_active_model(
+    State(state): State<AppState>,
+    Path(path): Path<StationPath>,
+    Query(query): Query<LeadQuery>,
+    conditions: Conditions,
+    caller: Caller,
+    JsonBody(body): JsonBody<ActivateBody>,
+) -> ApiResult<Response> {
+    let station = state.station(&path.station).await?;
+    let lead = query.lead.0;
+    let model = state.store.model(body.model_id).await?;
+    let fits = model.is_some_and(|model| model.station == station.id && model.lead == lead);
+    if !fits {
+        let detail = format!("must be a model of station {} and lead {lead}; GET /v1/models?station={} lists them", station.id, station.id);
+        return Err(Problem::field(Code::ModelMismatch, "/model_id", "model_mismatch", detail).into());
+    }
+    let permits = |before: Option<&Activation>| conditions.permit_write(before.map(tag).as_deref());
+    let by = caller.name.as_deref();
+    let activation =
+        state.store.activate_model(&station.id, lead, body.model_id, by, clock::now(), permits).await?;
+    let tag = tag(&activation);
+    respond::tagged(&Conditions::default(), StatusCode::OK, &tag, &active(station.id, lead, activation))
+}

@@ -1,0 +1,116 @@
+//! The OpenAPI document: generated from the handlers, completed with what holds for all of them.
+
+use std::sync::LazyLock;
+
+use utoipa::{
+    Modify, OpenApi, ToSchema,
+    openapi::{
+        Components, ContentBuilder, HeaderBuilder, Ref, RefOr, Response, ResponseBuilder, SecurityRequirement,
+        path::Operation,
+        schema::{ObjectBuilder, Type},
+        security::{HttpAuthScheme, HttpBuilder, SecurityScheme},
+    },
+};
+
+use super::{problem::ProblemDocument, router};
+use crate::domain::problem::FieldError;
+
+/// What the document says of the service as a whole.
+#[derive(OpenApi)]
+#[openapi(
+    info(
+        title = "firn",
+        description = "Avalanche forecasting and simulation service.\n\n\
+            * Observation dates are the station's local days, instants are RFC 3339 in UTC, units stand with every field.\n\
+            * `null` is a missing value and never 0; an avalanche activity of `unknown` is never `none`.\n\
+            * Every refusal is `application/problem+json` (RFC 9457) with a JSON pointer to each field at fault; \
+              `/problems` explains the kinds.\n\
+            * Reads carry an `ETag` and answer 304 to `If-None-Match`; writes honour `If-Match` and `If-None-Match: *`.\n\
+            * Lists are paged by `cursor`; `Link: rel=\"next\"` is the next page.",
+        license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
+    ),
+    tags(
+        (name = "stations", description = "Places where somebody observes weather and snow every day."),
+        (name = "observations", description = "Days of weather and snowpack, and their avalanches."),
+        (name = "forecasts", description = "What the active model says of a day."),
+        (name = "models", description = "Trained models, their evaluation and features."),
+        (name = "processes", description = "What can be executed as a job (OGC API - Processes Part 1)."),
+        (name = "jobs", description = "Executions of processes."),
+        (name = "service", description = "The service itself."),
+    ),
+    modifiers(&Common),
+)]
+pub struct Document;
+
+/// What every operation has in common.
+struct Common;
+
+impl Modify for Common {
+    fn modify(&self, document: &mut utoipa::openapi::OpenApi) {
+        let components = document.components.get_or_insert_with(Components::new);
+        let bearer = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).description(Some(
+            "A key made by `firn key create`. Not needed on a loopback address, nor where the operator allows anybody.",
+        ));
+        components.add_security_scheme("key", SecurityScheme::Http(bearer.build()));
+        let mut schemas = vec![("Problem".to_owned(), <ProblemDocument as utoipa::PartialSchema>::schema())];
+        <ProblemDocument as ToSchema>::schemas(&mut schemas);
+        schemas.push(("FieldError".to_owned(), <FieldError as utoipa::PartialSchema>::schema()));
+        components.schemas.extend(schemas);
+    }
+}
+
+static TEXT: LazyLock<String> = LazyLock::new(|| {
+    let mut document = router::document();
+    complete(&mut document);
+    // a document made of strings, numbers and maps with string keys always has a JSON form
+    document.to_pretty_json().unwrap_or_default() + "\n"
+});
+
+/// The whole document as JSON; the same bytes on every call.
+#[must_use]
+pub fn text() -> &'static str {
+    &TEXT
+}
+
+/// Adds to every operation the answers that any of them can give, so that none is undocumented.
+fn complete(document: &mut utoipa::openapi::OpenApi) {
+    for (path, item) in &mut document.paths.paths {
+        let operations = [&mut item.get, &mut item.put, &mut item.post, &mut item.delete];
+        for operation in operations.into_iter().flatten() {
+            refusals(operation);
+            if path.starts_with("/v1") {
+                operation.security = Some(vec![
+                    SecurityRequirement::new("key", Vec::<String>::new()),
+                    SecurityRequirement::default(),
+                ]);
+            }
+        }
+        if let Some(get) = &mut item.get
+            && path.starts_with("/v1")
+        {
+            conditional(get);
+        }
+    }
+}
+
+fn refusals(operation: &mut Operation) {
+    let problem = |about: &str| -> RefOr<Response> {
+        let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem"))).build();
+        ResponseBuilder::new().description(about).content("application/problem+json", content).build().into()
+    };
+    let responses = &mut operation.responses.responses;
+    responses.insert("4XX".into(), problem("The request is refused; `/problems/{code}` explains why."));
+    responses.insert("5XX".into(), problem("The service cannot answer now; `/problems/{code}` explains why."));
+}
+
+/// Reads below `/v1` carry an entity tag and say 304 to whoever has it.
+fn conditional(get: &mut Operation) {
+    let seen = ResponseBuilder::new().description("Unchanged since the `ETag` in `If-None-Match`.").build();
+    get.responses.responses.insert("304".into(), seen.into());
+    if let Some(RefOr::T(ok)) = get.responses.responses.get_mut("200") {
+        let tag = HeaderBuilder::new()
+            .schema(ObjectBuilder::new().schema_type(Type::String))
+            .description(Some("Changes whenever the answer does."));
+        ok.headers.insert("ETag".into(), tag.build());
+    }
+}

@@ -1,0 +1,169 @@
+//! Every address of the service in one list, and the layers that each request passes.
+
+use std::time::Duration;
+
+use axum::{
+    BoxError, Router,
+    error_handling::HandleErrorLayer,
+    extract::{DefaultBodyLimit, Request},
+    http::{HeaderName, HeaderValue},
+    middleware::{self, Next},
+    response::{IntoResponse, Response},
+};
+use tower::ServiceBuilder;
+use tower_http::{
+    catch_panic::CatchPanicLayer,
+    compression::CompressionLayer,
+    csrf::CsrfLayer,
+    request_id::{MakeRequestId, PropagateRequestIdLayer, RequestId, SetRequestIdLayer},
+    trace::TraceLayer,
+};
+use utoipa::OpenApi;
+use utoipa_axum::{router::OpenApiRouter, routes};
+
+use super::{
+    AppState, auth, avalanches, docs, feature_sets, forecasts, health, imports, jobs, landing, models, observations,
+    openapi,
+    problem::{ApiError, REQUEST_ID, from_panic},
+    processes, stations,
+};
+use crate::domain::{
+    ids::new_id,
+    problem::{Code, Problem},
+};
+
+const REQUEST_ID_HEADER: HeaderName = HeaderName::from_static("x-request-id");
+
+/// A request id from outside is kept only up to this length: it goes into every log line.
+const LONGEST_REQUEST_ID: usize = 128;
+
+fn routes() -> OpenApiRouter<AppState> {
+    OpenApiRouter::with_openapi(openapi::Document::openapi())
+        // the service itself
+        .routes(routes!(health::livez))
+        .routes(routes!(health::readyz))
+        .routes(routes!(docs::openapi_json))
+        .routes(routes!(docs::list_problems))
+        .routes(routes!(docs::get_problem))
+        // OGC API - Processes
+        .routes(routes!(landing::landing_page))
+        .routes(routes!(landing::conformance))
+        .routes(routes!(processes::list_processes))
+        .routes(routes!(processes::get_process))
+        .routes(routes!(processes::execute_process))
+        .routes(routes!(jobs::list_jobs))
+        .routes(routes!(jobs::get_job, jobs::dismiss_job))
+        .routes(routes!(jobs::get_results))
+        // stations and their days
+        .routes(routes!(stations::list_stations))
+        .routes(routes!(stations::get_station, stations::put_station))
+        .routes(routes!(observations::list_observations, imports::import_observations))
+        .routes(routes!(observations::get_observation, observations::put_observation))
+        .routes(routes!(observations::list_revisions))
+        .routes(routes!(avalanches::get_avalanches, avalanches::put_avalanches))
+        .routes(routes!(avalanches::list_revisions))
+        // models and forecasts
+        .routes(routes!(feature_sets::list_feature_sets))
+        .routes(routes!(feature_sets::get_feature_set))
+        .routes(routes!(models::list_models))
+        .routes(routes!(models::get_model))
+        .routes(routes!(models::get_evaluation))
+        .routes(routes!(models::get_features))
+        .routes(routes!(models::get_active_model, models::put_active_model))
+        .routes(routes!(forecasts::list_forecasts))
+        .routes(routes!(forecasts::get_latest_forecast))
+        .routes(routes!(forecasts::get_forecast))
+        .routes(routes!(forecasts::list_similar_days))
+}
+
+/// The contract of all addresses, before [`openapi`] completes it.
+#[must_use]
+pub fn document() -> utoipa::openapi::OpenApi {
+    routes().into_openapi()
+}
+
+/// The whole service.
+pub fn router(state: AppState) -> Router {
+    let (router, _) = routes().split_for_parts();
+    let limits = ServiceBuilder::new()
+        .layer(HandleErrorLayer::new(limit_reached))
+        .load_shed()
+        .concurrency_limit(state.config.max_requests)
+        .timeout(state.config.request_timeout.max(Duration::from_secs(1)));
+    router
+        .fallback(not_found)
+        .method_not_allowed_fallback(method_not_allowed)
+        .layer(middleware::from_fn_with_state(state.clone(), auth::authenticate))
+        .layer(CsrfLayer::new().with_rejection_response(cross_origin))
+        .layer(DefaultBodyLimit::max(state.config.max_body_bytes))
+        .layer(limits)
+        .layer(CatchPanicLayer::custom(from_panic))
+        .layer(CompressionLayer::new())
+        .layer(middleware::from_fn(with_request_id))
+        .layer(TraceLayer::new_for_http().make_span_with(request_span).on_response(log_response))
+        .layer(PropagateRequestIdLayer::new(REQUEST_ID_HEADER))
+        .layer(SetRequestIdLayer::new(REQUEST_ID_HEADER, NewRequestId))
+        .layer(middleware::from_fn(drop_long_request_id))
+        .with_state(state)
+}
+
+#[derive(Clone, Copy)]
+struct NewRequestId;
+
+impl MakeRequestId for NewRequestId {
+    fn make_request_id<B>(&mut self, _: &axum::http::Request<B>) -> Option<RequestId> {
+        HeaderValue::from_str(&new_id().to_string()).ok().map(RequestId::new)
+    }
+}
+
+async fn drop_long_request_id(mut request: Request, next: Next) -> Response {
+    if request.headers().get(REQUEST_ID_HEADER).is_some_and(|id| id.len() > LONGEST_REQUEST_ID) {
+        request.headers_mut().remove(REQUEST_ID_HEADER);
+    }
+    next.run(request).await
+}
+
+fn request_id(request: &Request) -> String {
+    let id = request.headers().get(REQUEST_ID_HEADER);
+    id.and_then(|id| id.to_str().ok()).unwrap_or_default().to_owned()
+}
+
+/// Makes the request id known to every problem document of the request.
+async fn with_request_id(request: Request, next: Next) -> Response {
+    let id = request_id(&request);
+    REQUEST_ID.scope(id, next.run(request)).await
+}
+
+fn request_span(request: &Request) -> tracing::Span {
+    let id = request_id(request);
+    tracing::info_span!("request", id, method = %request.method(), path = request.uri().path())
+}
+
+fn log_response(response: &Response, latency: Duration, _: &tracing::Span) {
+    let latency_ms = latency.as_secs_f64() * 1e3;
+    tracing::info!(status = response.status().as_u16(), latency_ms, "answered");
+}
+
+async fn limit_reached(error: BoxError) -> Response {
+    let problem = if error.is::<tower::timeout::error::Elapsed>() {
+        Problem::new(Code::RequestTimeout, "the request was not answered in time; send large data in parts")
+    } else if error.is::<tower::load_shed::error::Overloaded>() {
+        Problem::new(Code::Overloaded, "too many requests are being worked on")
+    } else {
+        Problem::internal(error)
+    };
+    ApiError(problem).into_response()
+}
+
+fn cross_origin(_: tower_http::csrf::ProtectionError) -> Response {
+    ApiError(Problem::new(Code::CrossOrigin, "the request comes from a page of another origin")).into_response()
+}
+
+async fn not_found(request: Request) -> ApiError {
+    ApiError(Problem::new(Code::NotFound, format!("there is nothing at {}", request.uri().path())))
+}
+
+async fn method_not_allowed(request: Request) -> ApiError {
+    let detail = format!("{} does not take {}; the Allow header lists what it takes", request.uri().path(), request.method());
+    ApiError(Problem::new(Code::MethodNotAllowed, detail))
+}

@@ -1,0 +1,167 @@
+//! Settings of the server: flags, then environment, then a TOML file, then defaults.
+
+use std::{
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use clap::Args;
+use serde::Deserialize;
+
+/// What can be set; every field may come from a flag, an environment variable or the TOML file.
+#[derive(Args, Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// Address and port to listen on [default: 127.0.0.1:8080]
+    #[arg(long, env = "FIRN_LISTEN", value_name = "ADDRESS:PORT")]
+    pub listen: Option<SocketAddr>,
+    /// Folder of the database [default: firn-data]
+    #[arg(long, env = "FIRN_DATA_DIR", value_name = "DIR")]
+    pub data_dir: Option<PathBuf>,
+    /// Serve any address without keys: everybody who reaches the port may read and write everything
+    #[arg(long, env = "FIRN_ALLOW_ANONYMOUS", num_args = 0..=1, default_missing_value = "true", value_name = "BOOL")]
+    pub allow_anonymous: Option<bool>,
+    /// Largest request body in MiB [default: 32]
+    #[arg(long, env = "FIRN_MAX_BODY_MIB", value_name = "MIB")]
+    pub max_body_mib: Option<usize>,
+    /// Seconds that a request may take [default: 30]
+    #[arg(long, env = "FIRN_REQUEST_TIMEOUT_S", value_name = "S")]
+    pub request_timeout_s: Option<u64>,
+    /// Requests that are worked on at once; more are refused with 503 [default: 512]
+    #[arg(long, env = "FIRN_MAX_REQUESTS", value_name = "N")]
+    pub max_requests: Option<NonZeroUsize>,
+    /// Threads that compute jobs [default: the number of cores]
+    #[arg(long, env = "FIRN_COMPUTE_THREADS", value_name = "N")]
+    pub compute_threads: Option<NonZeroUsize>,
+    /// Jobs that run at once; they share the compute threads [default: 2]
+    #[arg(long, env = "FIRN_JOB_SLOTS", value_name = "N")]
+    pub job_slots: Option<NonZeroUsize>,
+    /// Jobs that may wait; more are refused with 503 [default: 10000]
+    #[arg(long, env = "FIRN_MAX_QUEUE", value_name = "N")]
+    pub max_queue: Option<u32>,
+    /// Seconds that a shutdown may take [default: 20]
+    #[arg(long, env = "FIRN_SHUTDOWN_TIMEOUT_S", value_name = "S")]
+    pub shutdown_timeout_s: Option<u64>,
+    /// `text` for a terminal, `json` for a collector of logs [default: text]
+    #[arg(long, env = "FIRN_LOG_FORMAT", value_name = "FORMAT")]
+    pub log_format: Option<LogFormat>,
+    /// What to log, as `level` or `target=level,...` [default: info]
+    #[arg(long, env = "FIRN_LOG", value_name = "FILTER")]
+    pub log: Option<String>,
+}
+
+/// How log lines look.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum LogFormat {
+    /// For a person.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// The settings in force.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Config {
+    /// Address and port to listen on.
+    pub listen: SocketAddr,
+    /// Folder of the database.
+    pub data_dir: PathBuf,
+    /// Whether an address other than loopback is served without keys.
+    pub allow_anonymous: bool,
+    /// Largest request body, bytes.
+    pub max_body_bytes: usize,
+    /// How long a request may take.
+    pub request_timeout: Duration,
+    /// Requests that are worked on at once.
+    pub max_requests: usize,
+    /// Threads that compute jobs.
+    pub compute_threads: usize,
+    /// Jobs that run at once.
+    pub job_slots: usize,
+    /// Jobs that may wait.
+    pub max_queue: u32,
+    /// How long a shutdown may take.
+    pub shutdown_timeout: Duration,
+    /// How log lines look.
+    pub log_format: LogFormat,
+    /// What to log.
+    pub log: String,
+}
+
+/// Settings that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file could not be read.
+    #[error("{path}: {source}")]
+    Read {
+        /// Which file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file is not what we accept.
+    #[error("{path}: {message}")]
+    Parse {
+        /// Which file.
+        path: PathBuf,
+        /// Where and why.
+        message: String,
+    },
+}
+
+impl Settings {
+    /// Reads a TOML file with the names of the long flags, `_` for `-`; an unknown name is an error.
+    ///
+    /// # Errors
+    /// [`ConfigError`] naming the file, the line and what is accepted.
+    pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.into(), source })?;
+        toml::from_str(&text).map_err(|error| ConfigError::Parse { path: path.into(), message: error.to_string() })
+    }
+
+    /// The settings in force: `self` where it says something, then `file`, then the default.
+    #[must_use]
+    pub fn over(self, file: Self) -> Config {
+        const MIB: usize = 1024 * 1024;
+        let cores = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
+        let loopback = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8080);
+        Config {
+            listen: self.listen.or(file.listen).unwrap_or(loopback),
+            data_dir: self.data_dir.or(file.data_dir).unwrap_or_else(|| "firn-data".into()),
+            allow_anonymous: self.allow_anonymous.or(file.allow_anonymous).unwrap_or(false),
+            max_body_bytes: self.max_body_mib.or(file.max_body_mib).unwrap_or(32).saturating_mul(MIB),
+            request_timeout: Duration::from_secs(self.request_timeout_s.or(file.request_timeout_s).unwrap_or(30)),
+            max_requests: self.max_requests.or(file.max_requests).map_or(512, NonZeroUsize::get),
+            compute_threads: self.compute_threads.or(file.compute_threads).map_or(cores, NonZeroUsize::get),
+            job_slots: self.job_slots.or(file.job_slots).map_or(2, NonZeroUsize::get),
+            max_queue: self.max_queue.or(file.max_queue).unwrap_or(10_000),
+            shutdown_timeout: Duration::from_secs(self.shutdown_timeout_s.or(file.shutdown_timeout_s).unwrap_or(20)),
+            log_format: self.log_format.or(file.log_format).unwrap_or(LogFormat::Text),
+            log: self.log.or(file.log).unwrap_or_else(|| "info".into()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn flags_win_over_the_file_and_the_file_over_defaults() {
+        let file: Settings = toml::from_str("listen = '127.0.0.1:9000'\nmax_body_mib = 1").unwrap();
+        let flags = Settings { listen: Some("127.0.0.1:9001".parse().unwrap()), ..Settings::default() };
+        let config = flags.over(file);
+        assert_eq!(config.listen.port(), 9001);
+        assert_eq!(config.max_body_bytes, 1024 * 1024);
+        assert_eq!(config.job_slots, 2);
+    }
+
+    #[test]
+    fn an_unknown_name_is_an_error_that_lists_what_is_known() {
+        let error = toml::from_str::<Settings>("listne = '127.0.0.1:9000'").unwrap_err().to_string();
+        assert!(error.contains("listne") && error.contains("data_dir"), "{error}");
+    }
+}

@@ -1,0 +1,62 @@
+//! `firn serve --demo`: a station made by a generator, so that a fresh machine has something to look at.
+
+use std::net::SocketAddr;
+
+use firn_science::forecast::{day::DayRecord, synthetic};
+use serde_json::json;
+
+use crate::{
+    api::AppState,
+    clock,
+    domain::{
+        ids::StationId,
+        observation::AvalancheRecord,
+        station::{Station, StationBody},
+    },
+    jobs::processes::Process,
+    server::ServerError,
+    store::observations::{Author, DayWrite},
+};
+
+/// The name of the station in every address: nobody shall take it for a place.
+const STATION: &str = "synthetic";
+
+/// Seed of the generator: the demo is the same everywhere.
+const SEED: u64 = 2007;
+
+/// The seasons that are made: long enough for season folds, short enough to train within seconds.
+const SEASONS: (i16, usize) = (2016, 10);
+
+/// Adds the synthetic station with its days and starts the training of its model, unless that was done before; says
+/// where to look.
+///
+/// # Errors
+/// Where the data cannot be stored.
+pub async fn start(state: &AppState, address: SocketAddr) -> Result<(), ServerError> {
+    let id: StationId = STATION.parse()?;
+    let days = synthetic::synthetic_station(SEED, SEASONS.0, SEASONS.1);
+    let body: StationBody = serde_json::from_value(json!({
+        "name": "Synthetic station (generated data, not a real place)", "timezone": "UTC",
+    }))?;
+    let absent = |before: Option<&Station>| before.is_none();
+    match state.store.put_station(&id, &body, true, clock::now(), absent).await {
+        Ok(_) => {
+            let writes = days.iter().map(write).collect::<Vec<_>>();
+            let author = Author { name: None, at: clock::now(), source: "synthetic" };
+            state.store.put_days(&id, &writes, &author).await?;
+        }
+        Err(crate::store::StoreError::Precondition) => {}
+        Err(error) => return Err(error.into()),
+    }
+    if state.store.active_model(&id, 0).await?.is_none() {
+        let inputs = json!({"station": STATION, "label": "observed", "lead": 0});
+        let job = state.jobs.submit(Process::TrainModel, &inputs, None).await?;
+        tracing::info!("the demo trains its model: http://{address}/v1/jobs/{}", job.id);
+    }
+    tracing::info!("look at http://{address}/ ; its station `{STATION}` is made by a generator and is no real place");
+    Ok(())
+}
+
+fn write(day: &DayRecord) -> DayWrite {
+    DayWrite { date: day.date, values: Some(day.values), avalanche: Some(AvalancheRecord::of(day.activity)) }
+}
