@@ -183,3 +183,14 @@ impl DayRecord {
 pub fn season_of(date: Date) -> i16 {
     if date.month() >= 7 { date.year() } else { date.year() - 1 }
 }
+
+/// Days from 1 July, on which the season of `date` begins, to `date`: 0 to 365.
+#[must_use]
+pub fn day_of_season(date: Date) -> i16 {
+    // 184 days from 1 July to 31 December; 1 July is day 182 of a common year
+    if date.month() >= 7 {
+        date.day_of_year() - if date.in_leap_year() { 183 } else { 182 }
+    } else {
+        date.day_of_year() + 183
+    }
+}
