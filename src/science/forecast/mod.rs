@@ -6,3 +6,4 @@ pub mod day;
 pub mod features;
 pub mod matrix;
 pub mod preparation;
+pub mod synthetic;
