@@ -183,3 +183,32 @@ impl DayRecord {
 pub fn season_of(date: Date) -> i16 {
     if date.month() >= 7 { date.year() } else { date.year() - 1 }
 }
+
+/// Days from 1 July, on which the season of `date` begins, to `date`: 0 to 365.
+#[must_use]
+pub fn day_of_season(date: Date) -> i16 {
+    // 184 days from 1 July to 31 December; 1 July is day 182 of a common year
+    if date.month() >= 7 {
+        date.day_of_year() - if date.in_leap_year() { 183 } else { 182 }
+    } else {
+        date.day_of_year() + 183
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use jiff::civil::date;
+
+    use super::*;
+
+    #[test]
+    fn day_of_season_counts_from_1_july_in_common_and_leap_years() {
+        for year in [1999, 2000, 2001, 2019, 2020, 2100] {
+            let first = date(year, 7, 1);
+            for (n, day) in first.series(jiff::Span::new().days(1)).take(365).enumerate() {
+                assert_eq!((season_of(day), usize::try_from(day_of_season(day))), (year, Ok(n)), "{day}");
+            }
+        }
+        assert_eq!(day_of_season(date(2020, 6, 30)), 365);
+    }
+}

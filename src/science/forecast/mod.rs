@@ -3,4 +3,7 @@
 //! Data flow: [`day`] records of one station -> features -> standardised samples -> machine -> probability.
 
 pub mod day;
+pub mod features;
 pub mod matrix;
+pub mod preparation;
+pub mod synthetic;
