@@ -2,7 +2,11 @@
 //!
 //! Data flow: [`day`] records of one station -> features -> standardised samples -> machine -> probability.
 
+pub mod baselines;
 pub mod day;
 pub mod features;
+pub mod logistic;
 pub mod matrix;
+pub mod neighbours;
 pub mod preparation;
+pub mod verification;
