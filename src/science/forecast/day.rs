@@ -194,3 +194,21 @@ pub fn day_of_season(date: Date) -> i16 {
         date.day_of_year() + 183
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use jiff::civil::date;
+
+    use super::*;
+
+    #[test]
+    fn day_of_season_counts_from_1_july_in_common_and_leap_years() {
+        for year in [1999, 2000, 2001, 2019, 2020, 2100] {
+            let first = date(year, 7, 1);
+            for (n, day) in first.series(jiff::Span::new().days(1)).take(365).enumerate() {
+                assert_eq!((season_of(day), usize::try_from(day_of_season(day))), (year, Ok(n)), "{day}");
+            }
+        }
+        assert_eq!(day_of_season(date(2020, 6, 30)), 365);
+    }
+}

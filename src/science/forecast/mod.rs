@@ -9,4 +9,5 @@ pub mod logistic;
 pub mod matrix;
 pub mod neighbours;
 pub mod preparation;
+pub mod synthetic;
 pub mod verification;

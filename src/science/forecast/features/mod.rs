@@ -29,9 +29,13 @@ use thiserror::Error;
 use super::day::Variable;
 use super::matrix::Matrix;
 
+#[cfg(test)]
+pub(crate) mod archive;
 mod catalogue;
 mod daily;
 mod history;
+#[cfg(test)]
+mod tests;
 
 use history::Window;
 pub use history::{History, HistoryError};

@@ -1,0 +1,3 @@
+mod by_hand;
+mod on_archive;
+mod properties;
