@@ -4,3 +4,4 @@
 
 pub mod day;
 pub mod matrix;
+pub mod svm;
