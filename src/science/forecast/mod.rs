@@ -9,5 +9,6 @@ pub mod logistic;
 pub mod matrix;
 pub mod neighbours;
 pub mod preparation;
+pub mod svm;
 pub mod synthetic;
 pub mod verification;
