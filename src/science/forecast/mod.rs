@@ -4,9 +4,11 @@
 
 pub mod baselines;
 pub mod day;
+pub mod evaluation;
 pub mod features;
 pub mod logistic;
 pub mod matrix;
+pub mod model;
 pub mod neighbours;
 pub mod preparation;
 pub mod svm;

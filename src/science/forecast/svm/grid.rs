@@ -15,6 +15,7 @@ use super::rows::{CachedRows, Rows, WholeRows};
 use super::smo::Dual;
 use super::solver::{Cost, SolverError, SolverOptions, check_length, check_problem};
 use crate::forecast::matrix::Matrix;
+use crate::forecast::verification::auc;
 use crate::progress::Progress;
 
 /// The candidates: every cost with every gamma.
@@ -369,26 +370,8 @@ fn mean_auc(labels: &[bool], folds: &[Fold], values: &[Vec<f64>]) -> Option<f64>
         .zip(values)
         .filter_map(|(fold, values)| {
             let events: Vec<bool> = fold.held_out.iter().map(|&row| labels[row]).collect();
-            area_under_roc(values, &events)
+            auc(values, &events)
         })
         .collect();
     (!scored.is_empty()).then(|| scored.iter().sum::<f64>() / scored.len() as f64)
-}
-
-/// Probability that an event has the larger value than a row that is none, ties counting half (Mann-Whitney); `None` unless
-/// both occur.
-fn area_under_roc(values: &[f64], events: &[bool]) -> Option<f64> {
-    let mut order: Vec<usize> = (0..values.len()).collect();
-    order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
-    let positives = events.iter().filter(|&&event| event).count() as f64;
-    let negatives = events.len() as f64 - positives;
-    let mut rank_sum = 0.0;
-    let mut before = 0;
-    for ties in order.chunk_by(|&a, &b| values[a] == values[b]) {
-        let mean_rank = before as f64 + (ties.len() as f64 + 1.0) / 2.0;
-        rank_sum += mean_rank * ties.iter().filter(|&&i| events[i]).count() as f64;
-        before += ties.len();
-    }
-    (positives > 0.0 && negatives > 0.0)
-        .then(|| (rank_sum - positives * (positives + 1.0) / 2.0) / (positives * negatives))
 }
