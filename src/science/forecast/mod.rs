@@ -2,8 +2,15 @@
 //!
 //! Data flow: [`day`] records of one station -> features -> standardised samples -> machine -> probability.
 
+pub mod baselines;
 pub mod day;
+pub mod evaluation;
 pub mod features;
+pub mod logistic;
 pub mod matrix;
+pub mod model;
+pub mod neighbours;
 pub mod preparation;
+pub mod svm;
 pub mod synthetic;
+pub mod verification;

@@ -1,0 +1,106 @@
+//! The days that a model can be trained and scored on.
+
+use jiff::ToSpan;
+use jiff::civil::Date;
+
+use crate::forecast::day::{DayRecord, Label, Variable, day_of_season, season_of};
+use crate::forecast::features::{FeatureSet, History};
+use crate::forecast::matrix::Matrix;
+
+/// Scorable days in order of date, one row each: the label of the target day is known, and the base day and the two
+/// calendar days before it are recorded in the same season.
+///
+/// A day counts as recorded where it has a value of a variable that the station reports.
+#[derive(Clone, Debug)]
+pub(crate) struct Samples {
+    /// Target days.
+    pub(crate) date: Vec<Date>,
+    /// Whether the target day is an avalanche day.
+    pub(crate) event: Vec<bool>,
+    /// Label of the calendar day before the target day, the newest that is known when a forecast for it is issued.
+    pub(crate) yesterday: Vec<Option<bool>>,
+    /// Days since 1 July of the target day.
+    pub(crate) day_of_season: Vec<i16>,
+    /// Features of the base day, as computed: NaN is missing.
+    pub(crate) features: Matrix,
+    /// Reported variables of the base day: NaN is missing.
+    pub(crate) variables: Matrix,
+    /// Position in [`Self::seasons`] of the season of the target day.
+    pub(crate) season: Vec<usize>,
+    /// Years in which the seasons begin, rising.
+    pub(crate) seasons: Vec<i16>,
+}
+
+impl Samples {
+    pub(crate) fn collect(history: &History<'_>, set: &FeatureSet, label: Label, lead: u8) -> Self {
+        let scorable: Vec<(Date, Date, bool)> = history
+            .days()
+            .iter()
+            .filter_map(|day| Some((day.date, base_day(history, set, day.date, lead)?, label.of(day.activity)?)))
+            .collect();
+        let date: Vec<Date> = scorable.iter().map(|&(date, ..)| date).collect();
+        let base: Vec<Date> = scorable.iter().map(|&(_, base, _)| base).collect();
+
+        let season_year: Vec<i16> = date.iter().map(|&d| season_of(d)).collect();
+        let mut seasons = season_year.clone();
+        seasons.dedup();
+        let position = |year: &i16| seasons.partition_point(|s| s < year);
+
+        let yesterday = |&d: &Date| label.of(history.day(before(d, 1)?)?.activity);
+        Self {
+            event: scorable.iter().map(|&(.., event)| event).collect(),
+            yesterday: date.iter().map(yesterday).collect(),
+            day_of_season: date.iter().map(|&d| day_of_season(d)).collect(),
+            features: set.matrix(history, &base),
+            variables: base_day_variables(history, set, &base),
+            season: season_year.iter().map(position).collect(),
+            seasons,
+            date,
+        }
+    }
+
+    /// Number of scorable days.
+    pub(crate) fn len(&self) -> usize {
+        self.date.len()
+    }
+
+    /// Rows of the seasons at the positions that `keep` accepts.
+    pub(crate) fn rows_of(&self, keep: impl Fn(usize) -> bool) -> Vec<usize> {
+        (0..self.len()).filter(|&i| keep(self.season[i])).collect()
+    }
+}
+
+/// The base day of a target day, `None` where it or one of the two days before it is not recorded in the same season.
+fn base_day(history: &History<'_>, set: &FeatureSet, target: Date, lead: u8) -> Option<Date> {
+    let base = before(target, i32::from(lead))?;
+    let recorded = |lag| {
+        let day = history.day(before(base, lag)?)?;
+        (season_of(day.date) == season_of(target) && is_recorded(day, &set.reported)).then_some(())
+    };
+    (0..=2).try_for_each(recorded)?;
+    Some(base)
+}
+
+/// `days` calendar days before `date`; `None` before the first date of the calendar.
+pub(crate) fn before(date: Date, days: i32) -> Option<Date> {
+    date.checked_sub(days.days()).ok()
+}
+
+/// Whether the day has a value of one of `variables`.
+pub(crate) fn is_recorded(day: &DayRecord, variables: &[Variable]) -> bool {
+    variables.iter().any(|&v| day.value(v).is_some())
+}
+
+/// Days x reported variables; without the cumulative snow index, whose value says more of the date than of the day.
+fn base_day_variables(history: &History<'_>, set: &FeatureSet, base: &[Date]) -> Matrix {
+    let variables: Vec<Variable> =
+        set.reported.iter().copied().filter(|&v| v != Variable::CumulativeSnowIndex).collect();
+    let mut matrix = Matrix::filled(base.len(), variables.len(), f64::NAN);
+    for (i, &date) in base.iter().enumerate() {
+        let Some(day) = history.day(date) else { continue };
+        for (entry, &variable) in matrix.row_mut(i).iter_mut().zip(&variables) {
+            *entry = day.value(variable).unwrap_or(f64::NAN);
+        }
+    }
+    matrix
+}

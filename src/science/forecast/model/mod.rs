@@ -1,0 +1,86 @@
+//! Train a model, forecast with it, and find the past days that speak for its forecast.
+
+use rayon::join;
+use serde::Serialize;
+
+use super::day::DayRecord;
+use super::evaluation::{Evaluation, Part, Plan, Samples, Shares, evaluate};
+use crate::progress::Progress;
+
+mod forecast;
+mod options;
+
+pub use forecast::{
+    Category, Forecast, ForecastError, InputQuality, SimilarDay, SupportDay, TrainedModel, TrainingWindow,
+};
+pub use options::{LONGEST_LEAD, TrainingError, TrainingOptions, TrainingSummary, check};
+use options::{Prepared, prepare};
+
+/// A model and what it is worth.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Trained {
+    /// The model, fitted to all seasons.
+    pub model: TrainedModel,
+    /// Scores on seasons held out, of the model's recipe and of the models beside it.
+    pub evaluation: Evaluation,
+}
+
+/// Trains a model on all seasons of `days` (rising dates, gaps allowed) and evaluates the recipe season by season.
+///
+/// Uses the current rayon pool; the result has the same bits at any number of threads. A cancelled run ends within tenths of a
+/// second.
+///
+/// # Errors
+/// [`TrainingError`]: what [`check`] says; rarely a fit that fails; [`TrainingError::Cancelled`].
+pub fn train(days: &[DayRecord], options: &TrainingOptions, progress: &dyn Progress) -> Result<Trained, TrainingError> {
+    let prepared = prepare(days, options)?;
+    let plan = Plan::new(&prepared.samples);
+    let mut work = plan.work();
+    let last = work.len();
+    work.push((prepared.samples.len() as f64).powi(2));
+    let shares = Shares::new(progress, work);
+    let (model, evaluation) = join(
+        || fit(&prepared, options, &shares.part(last, "final model".to_owned())),
+        || evaluate(&prepared.samples, &plan, options, &shares),
+    );
+    Ok(Trained { model: model?, evaluation: evaluation? })
+}
+
+/// The recipe of a split, on all seasons.
+fn fit(prepared: &Prepared, options: &TrainingOptions, progress: &dyn Progress) -> Result<TrainedModel, TrainingError> {
+    let Prepared { set, samples, summary } = prepared;
+    let rows = samples.rows_of(|_| true);
+    let part = Part::new(samples, &rows);
+    let svm = part.svm(options, progress)?;
+    let threshold = options.threshold.choose(&svm.out_of_fold, part.event()).ok_or(TrainingError::NoThreshold)?;
+    Ok(TrainedModel {
+        label: options.label,
+        lead: options.lead,
+        feature_set: set.id,
+        feature_set_version: set.version,
+        reported: set.reported.clone(),
+        features: set.names().into_iter().map(str::to_owned).collect(),
+        preparation: part.preparation,
+        support: support_days(samples, &svm.machine.support_index),
+        machine: svm.machine,
+        platt: svm.platt,
+        threshold,
+        threshold_rule: options.threshold,
+        c: svm.best.c,
+        gamma: svm.best.gamma,
+        cross_validated_auc: svm.best.auc,
+        training: TrainingWindow {
+            first: summary.first,
+            last: summary.last,
+            days: summary.days,
+            events: summary.events,
+            seasons: samples.seasons.clone(),
+        },
+        base_rate: summary.base_rate,
+        seed: options.seed,
+    })
+}
+
+fn support_days(samples: &Samples, rows: &[usize]) -> Vec<SupportDay> {
+    rows.iter().map(|&i| SupportDay { date: samples.date[i], label: samples.event[i] }).collect()
+}

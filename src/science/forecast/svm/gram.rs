@@ -1,0 +1,195 @@
+//! What all pairs of rows share: squared distances or inner products once, and the Gram matrix of each gamma from them.
+
+use rayon::prelude::*;
+
+use super::columns::{Columns, kernel_of_pairs};
+use super::kernel::{Kernel, KernelFamily};
+use super::lanes::padded;
+use crate::forecast::matrix::Matrix;
+
+/// Squared distances (Gaussian) or inner products (linear) of all pairs of rows, computed once a feature set.
+///
+/// Stored in double precision: [`Self::remove_feature`] subtracts from them once a feature, and what is left of a sum of 60
+/// terms after 59 subtractions must still be good for a kernel.
+#[derive(Clone, Debug)]
+pub struct PairTable {
+    family: KernelFamily,
+    rows: usize,
+    stride: usize,
+    pairs: Vec<f64>,
+}
+
+impl PairTable {
+    /// The table of the rows of `x` (samples x features, finite, standardised); 8 bytes a pair.
+    #[must_use]
+    pub fn new(x: &Matrix, family: KernelFamily) -> Self {
+        let columns = Columns::of_rows(x, 0..x.rows());
+        let stride = columns.stride();
+        let mut pairs = vec![0.0; x.rows() * stride];
+        if stride > 0 {
+            pairs.par_chunks_mut(stride).enumerate().for_each(|(i, row)| columns.pairs(family, x.row(i), row));
+        }
+        Self { family, rows: x.rows(), stride, pairs }
+    }
+
+    /// Number of rows (samples).
+    #[must_use]
+    pub const fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// The family the table was made for.
+    #[must_use]
+    pub const fn family(&self) -> KernelFamily {
+        self.family
+    }
+
+    /// Squared distance or inner product of rows `i` and `j`; `None` outside the table.
+    #[must_use]
+    pub fn pair(&self, i: usize, j: usize) -> Option<f64> {
+        (i < self.rows && j < self.rows).then(|| self.pairs[i * self.stride + j])
+    }
+
+    /// Takes the feature with values `column` (one a row, as in the matrix of [`Self::new`]) out of every pair.
+    ///
+    /// The downdate of recursive feature elimination: cost rows^2 instead of rows^2 x features. Rounding may leave a squared
+    /// distance just below 0, which becomes 0. Entries beyond the shorter of `column` and the table stay as they are.
+    pub fn remove_feature(&mut self, column: &[f64]) {
+        let (family, used) = (self.family, self.rows.min(column.len()));
+        self.pairs.par_chunks_mut(self.stride.max(1)).zip(column).for_each(|(row, &a)| {
+            for (pair, &b) in row[..used].iter_mut().zip(column) {
+                let left = *pair - family.term(a, b);
+                *pair = match family {
+                    KernelFamily::Gaussian => left.max(0.0),
+                    KernelFamily::Linear => left,
+                };
+            }
+        });
+    }
+
+    /// The Gram matrix of that `gamma` (> 0, ignored for a linear table); 4 bytes a pair.
+    #[must_use]
+    pub fn gram(&self, gamma: f64) -> Gram {
+        let kernel = self.family.with_gamma(gamma);
+        Gram::build(kernel, self.rows, |i, _, row| {
+            kernel_of_pairs(&kernel, &self.pairs[i * self.stride..][..self.rows], row);
+        })
+    }
+}
+
+/// The kernel values of all pairs of rows, `rows x rows`, in single precision (as in LIBSVM).
+#[derive(Clone, Debug)]
+pub struct Gram {
+    kernel: Kernel,
+    rows: usize,
+    stride: usize,
+    finite: bool,
+    values: Vec<f32>,
+}
+
+impl Gram {
+    /// The Gram matrix of the rows of `x` without a table in between.
+    #[must_use]
+    pub fn of_rows(x: &Matrix, kernel: Kernel) -> Self {
+        let columns = Columns::of_rows(x, 0..x.rows());
+        Self::build(kernel, x.rows(), |i, pairs, row| columns.kernel_row(&kernel, x.row(i), pairs, row))
+    }
+
+    /// Bytes that [`Gram`] takes for `rows` rows.
+    #[must_use]
+    pub const fn bytes(rows: usize) -> usize {
+        rows.saturating_mul(padded(rows)).saturating_mul(size_of::<f32>())
+    }
+
+    fn build(kernel: Kernel, rows: usize, fill: impl Fn(usize, &mut [f64], &mut [f32]) + Sync) -> Self {
+        let stride = padded(rows);
+        let mut values = vec![0.0_f32; rows * stride];
+        let finite = values
+            .par_chunks_mut(stride.max(1))
+            .enumerate()
+            .map_init(
+                || vec![0.0; stride],
+                |pairs, (i, row)| {
+                    fill(i, pairs, row);
+                    row.iter().all(|v| v.is_finite())
+                },
+            )
+            .reduce(|| true, |a, b| a && b);
+        Self { kernel, rows, stride, finite, values }
+    }
+
+    /// Number of rows (samples).
+    #[must_use]
+    pub const fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// The kernel the matrix was made with.
+    #[must_use]
+    pub const fn kernel(&self) -> &Kernel {
+        &self.kernel
+    }
+
+    /// False if any value is NaN or infinite.
+    #[must_use]
+    pub const fn is_finite(&self) -> bool {
+        self.finite
+    }
+
+    /// Kernel values of row `i` with every row; `None` outside the matrix.
+    #[must_use]
+    pub fn row(&self, i: usize) -> Option<&[f32]> {
+        (i < self.rows).then(|| &self.padded_row(i)[..self.rows])
+    }
+
+    /// Row `i` with its padding of zeros.
+    #[inline(always)]
+    pub(super) fn padded_row(&self, i: usize) -> &[f32] {
+        &self.values[i * self.stride..(i + 1) * self.stride]
+    }
+
+    /// [`Self::rows`] rounded up to whole lanes.
+    pub(super) const fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// The sub-matrix of the selected rows and columns. Indices must be below [`Self::rows`].
+    pub(super) fn select(&self, selection: &Selection) -> Self {
+        let (rows, stride) = (selection.index.len(), padded(selection.index.len()));
+        let mut values = vec![0.0_f32; rows * stride];
+        for (row, &i) in values.chunks_exact_mut(stride.max(1)).zip(&selection.index) {
+            selection.gather(self.padded_row(i), row);
+        }
+        Self { kernel: self.kernel, rows, stride, finite: self.finite, values }
+    }
+}
+
+/// Rows of a problem inside a larger matrix, as runs (start, length) of consecutive numbers: with rows ordered by season the
+/// training part of a fold is a handful of them.
+pub(super) struct Selection {
+    index: Vec<usize>,
+    runs: Vec<(usize, usize)>,
+}
+
+impl Selection {
+    /// The rows named by `index`, in that order.
+    pub(super) fn new(index: &[usize]) -> Self {
+        let mut runs: Vec<(usize, usize)> = Vec::new();
+        for &i in index {
+            match runs.last_mut() {
+                Some((start, length)) if *start + *length == i => *length += 1,
+                _ => runs.push((i, 1)),
+            }
+        }
+        Self { index: index.to_vec(), runs }
+    }
+
+    /// Copies the selected entries of `source` to the front of `out`.
+    pub(super) fn gather(&self, source: &[f32], out: &mut [f32]) {
+        let mut position = 0;
+        for &(start, length) in &self.runs {
+            out[position..position + length].copy_from_slice(&source[start..start + length]);
+            position += length;
+        }
+    }
+}
