@@ -109,7 +109,6 @@ fn print(text: &str) {
     println!("{text}");
 }
 
-#[expect(clippy::print_stderr, reason = "the failure of a command", allow_attributes)]
 fn eprintln(text: &str) {
     eprintln!("{text}");
 }

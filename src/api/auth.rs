@@ -2,7 +2,7 @@
 
 use axum::{
     extract::{FromRequestParts, Request, State},
-    http::{Method, header, request::Parts},
+    http::{HeaderValue, Method, header, request::Parts},
     middleware::Next,
     response::Response,
 };
@@ -44,7 +44,9 @@ pub async fn authenticate(State(state): State<AppState>, mut request: Request, n
     if is_public(&path) {
         return Ok(next.run(request).await);
     }
-    let caller = identify(&state, &request).await?;
+    // the body of a request cannot be shared between threads, so its header is taken out before the store is asked
+    let credentials = request.headers().get(header::AUTHORIZATION).cloned();
+    let caller = identify(&state, credentials).await?;
     let needed = role_for(request.method(), &path);
     if caller.role < needed {
         let detail = format!("this call needs the role {}, the key has {}", needed.name(), caller.role.name());
@@ -69,8 +71,8 @@ fn role_for(method: &Method, path: &str) -> Role {
     }
 }
 
-async fn identify(state: &AppState, request: &Request) -> Result<Caller, ApiError> {
-    let Some(value) = request.headers().get(header::AUTHORIZATION) else {
+async fn identify(state: &AppState, credentials: Option<HeaderValue>) -> Result<Caller, ApiError> {
+    let Some(value) = credentials else {
         if keys_needed(&state.config) {
             return Err(Problem::new(Code::Unauthorized, "this service wants a key with every request").into());
         }

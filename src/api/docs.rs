@@ -2,7 +2,6 @@
 
 use axum::{
     Json,
-    extract::State,
     http::{HeaderValue, header},
     response::{IntoResponse, Response},
 };
@@ -10,7 +9,6 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::{
-    AppState,
     extract::{Conditions, Path},
     openapi,
     problem::ApiResult,
@@ -52,7 +50,7 @@ pub struct ProblemPath {
 /// This document: OpenAPI 3.1, without references to anything outside of it.
 #[utoipa::path(get, path = "/openapi.json", operation_id = "get_openapi", tag = "service",
     responses((status = 200, description = "The contract.", body = Object)))]
-pub async fn openapi_json(State(_): State<AppState>) -> Response {
+pub async fn openapi_json() -> Response {
     let headers = [(header::CONTENT_TYPE, HeaderValue::from_static("application/json"))];
     (headers, openapi::text()).into_response()
 }

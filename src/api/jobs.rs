@@ -59,7 +59,7 @@ pub struct JobsQuery {
     kind: Option<JobType>,
     /// Only jobs made at this instant or in this interval: `instant`, `from/to`, `from/..` or `../to` (RFC 3339).
     #[serde(default)]
-    #[param(example = "2026-11-01T00:00:00Z/..")]
+    #[param(value_type = Option<String>, example = "2026-11-01T00:00:00Z/..")]
     datetime: Option<Interval>,
     /// Only jobs that have run for at least this long, s.
     #[serde(default, rename = "minDuration")]

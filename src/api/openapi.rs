@@ -109,8 +109,8 @@ fn conditional(get: &mut Operation) {
     get.responses.responses.insert("304".into(), seen.into());
     if let Some(RefOr::T(ok)) = get.responses.responses.get_mut("200") {
         let tag = HeaderBuilder::new()
-            .schema(ObjectBuilder::new().schema_type(Type::String))
+            .schema(Some(ObjectBuilder::new().schema_type(Type::String)))
             .description(Some("Changes whenever the answer does."));
-        ok.headers.insert("ETag".into(), tag.build());
+        ok.headers.insert("ETag".into(), tag.build().into());
     }
 }

@@ -42,7 +42,7 @@ pub struct StationPath {
 pub struct ListQuery {
     /// Largest number of stations in the answer, 1 to 1000.
     #[serde(default)]
-    #[param(minimum = 1, maximum = 1000, default = 100)]
+    #[param(value_type = Option<u32>, minimum = 1, maximum = 1000, default = 100)]
     limit: Option<Limit<100, 1000>>,
     /// Where the page begins: `next` of the page before.
     #[serde(default)]

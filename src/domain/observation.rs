@@ -227,6 +227,7 @@ macro_rules! observation {
             /// What a station reports of one day, with its date; a value that is null or left out is missing, never 0.
             DatedObservation {
                 /// The station's local calendar day.
+                #[serde(deserialize_with = "super::date::strict")]
                 #[schema(value_type = String, format = Date)]
                 pub date: Date,
             } $($(#[$doc])* $field: $type = $variable,)+);

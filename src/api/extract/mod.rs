@@ -6,4 +6,6 @@ mod params;
 
 pub use body::{Body, JsonBody, MediaType, json_fault, media_type};
 pub use conditions::{Conditions, etag};
-pub use params::{Date, Path, Query};
+pub use params::{Path, Query};
+
+pub use crate::domain::date::Date;

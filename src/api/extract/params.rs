@@ -1,20 +1,12 @@
 //! Parameters of the address.
 
-use std::{fmt, str::FromStr};
+use std::fmt;
 
 use axum::{
     extract::{FromRequestParts, RawPathParams},
     http::request::Parts,
 };
-use jiff::civil;
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
-use utoipa::{
-    PartialSchema, ToSchema,
-    openapi::{
-        KnownFormat, RefOr, SchemaFormat,
-        schema::{ObjectBuilder, Schema, Type},
-    },
-};
+use serde::de::DeserializeOwned;
 
 use crate::{
     api::problem::ApiError,
@@ -67,56 +59,13 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Path<T> {
     }
 }
 
-/// A calendar day in the one form that is accepted: `YYYY-MM-DD`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
-pub struct Date(pub civil::Date);
-
-impl FromStr for Date {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let refuse = || format!("must be an existing day written YYYY-MM-DD, not {text:?}");
-        let bytes = text.as_bytes();
-        let form = bytes.len() == 10
-            && bytes.iter().enumerate().all(|(i, b)| if i == 4 || i == 7 { *b == b'-' } else { b.is_ascii_digit() });
-        if !form {
-            return Err(refuse());
-        }
-        text.parse().map(Self).map_err(|_| refuse())
-    }
-}
-
-impl TryFrom<String> for Date {
-    type Error = String;
-
-    fn try_from(text: String) -> Result<Self, Self::Error> {
-        text.parse()
-    }
-}
-
-impl From<Date> for String {
-    fn from(date: Date) -> Self {
-        date.0.to_string()
-    }
-}
-
-impl PartialSchema for Date {
-    fn schema() -> RefOr<Schema> {
-        ObjectBuilder::new()
-            .schema_type(Type::String)
-            .format(Some(SchemaFormat::KnownFormat(KnownFormat::Date)))
-            .description(Some("A calendar day, YYYY-MM-DD; for a station its local day."))
-            .examples([serde_json::json!("2007-02-14")])
-            .into()
-    }
-}
-
-impl ToSchema for Date {}
-
 #[cfg(test)]
 mod tests {
+    use jiff::civil;
+    use serde::Deserialize;
+
     use super::*;
+    use crate::domain::date::Date;
 
     #[derive(Debug, Deserialize)]
     #[serde(deny_unknown_fields)]
@@ -143,14 +92,6 @@ mod tests {
         let (pointer, detail) = fault("form=2007-02-01");
         assert_eq!(pointer, "/form");
         assert!(detail.contains("`from`"), "{detail}");
-    }
-
-    #[test]
-    fn only_one_form_of_a_date_is_a_date() {
-        assert!("2007-02-14".parse::<Date>().is_ok());
-        for bad in ["20070214", "2007-2-14", "2007-02-30", "2007-02-14T00:00", "-007-02-14", "", "2007-W07-3"] {
-            assert!(bad.parse::<Date>().is_err(), "{bad}");
-        }
     }
 
     #[test]

@@ -1,10 +1,11 @@
 //! The process `train-model`: observations of a station in, an evaluated model in the registry out.
 
 use firn_science::forecast::{
-    day::{DayRecord, Label},
+    day::{DayRecord, Label, Variable},
     features::FeatureSetId,
-    model::{self, ThresholdRule, TrainingError, TrainingOptions},
-    svm::{grid::Grid, kernel::KernelFamily},
+    model::{self, TrainedModel, TrainingError, TrainingOptions},
+    svm::{Grid, KernelFamily},
+    verification::ThresholdRule,
 };
 use jiff::civil::Date;
 use serde::{Deserialize, Serialize};
@@ -16,6 +17,7 @@ use super::{Accepted, Description, invalid_inputs};
 use crate::{
     clock,
     domain::{
+        date,
         ids::{StationId, new_id},
         problem::{Code, FieldError, Problem},
         schema,
@@ -56,11 +58,11 @@ pub struct Inputs {
     #[schema(value_type = String, pattern = "^(gaussian|linear)$", default = "gaussian")]
     pub kernel: KernelFamily,
     /// First day of the training window, YYYY-MM-DD; left out: the first that was observed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "date::strict_option")]
     #[schema(value_type = Option<String>, format = Date)]
     pub from: Option<Date>,
     /// Last day of the training window, YYYY-MM-DD; left out: the last that was observed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "date::strict_option")]
     #[schema(value_type = Option<String>, format = Date)]
     pub to: Option<Date>,
     /// Cost of an unnecessary warning divided by the loss of a missed avalanche day, between 0 and 1: warns from that
@@ -148,7 +150,7 @@ async fn prepare(store: &Store, inputs: &Inputs) -> Result<Prepared, Problem> {
     })?;
     let (from, to) = (inputs.from.unwrap_or(ALWAYS.0), inputs.to.unwrap_or(ALWAYS.1));
     let days = store.day_records(&station.id, from, to).await.map_err(Problem::internal)?;
-    let reported = station.body.variables.clone().unwrap_or_else(|| model::reported_variables(&days));
+    let reported = station.body.variables.clone().unwrap_or_else(|| appearing(&days));
     let options = TrainingOptions {
         label: inputs.label,
         lead: inputs.lead,
@@ -160,6 +162,11 @@ async fn prepare(store: &Store, inputs: &Inputs) -> Result<Prepared, Problem> {
         threshold: inputs.cost_loss_ratio.map_or(ThresholdRule::Peirce, |ratio| ThresholdRule::CostLoss { ratio }),
     };
     Ok(Prepared { station, days, options })
+}
+
+/// The variables that at least one day has.
+fn appearing(days: &[DayRecord]) -> Vec<Variable> {
+    Variable::ALL.into_iter().filter(|variable| days.iter().any(|day| day.value(*variable).is_some())).collect()
 }
 
 fn refused_window(error: &TrainingError) -> Problem {
@@ -228,11 +235,24 @@ fn science(error: impl std::fmt::Display) -> Failure {
     Failure::Science(error.to_string())
 }
 
-fn summary(model: &model::TrainedModel, station: &Station, provenance: &Value, scores: &Value) -> Value {
+/// What the registry tells of a model without opening it.
+fn summary(model: &TrainedModel, station: &Station, provenance: &Value, scores: &Value) -> Value {
+    let window = &model.training;
     json!({
         "synthetic": station.synthetic,
-        "training": model.summary(),
+        "training": {
+            "label": model.label, "feature_set": model.feature_set, "feature_set_version": model.feature_set_version,
+            "features": model.features.len(), "variables": model.reported, "kernel": kernel(model), "c": model.c,
+            "gamma": model.gamma, "cross_validated_auc": model.cross_validated_auc, "threshold": model.threshold,
+            "threshold_rule": model.threshold_rule, "first": window.first, "last": window.last, "days": window.days,
+            "events": window.events, "seasons": window.seasons, "base_rate": model.base_rate,
+            "support_vectors": model.support.len(),
+        },
         "scores": scores,
         "provenance": provenance,
     })
+}
+
+fn kernel(model: &TrainedModel) -> KernelFamily {
+    if model.gamma.is_some() { KernelFamily::Gaussian } else { KernelFamily::Linear }
 }

@@ -41,6 +41,7 @@ pub const LEVEL: f64 = 0.95;
 
 /// How a model and the ones it is compared with do on seasons they were not fitted to.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Evaluation {
     /// Scored days.
     pub days: usize,
@@ -72,6 +73,7 @@ pub struct Evaluation {
 
 /// Scores of one held-out season.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct SeasonScores {
     /// Year in which the season begins.
     pub season: i16,
@@ -91,6 +93,7 @@ pub struct SeasonScores {
 
 /// Scores of forward chaining.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct ForwardChaining {
     /// Seasons that were forecast, by the year in which they begin.
     pub seasons: Vec<i16>,
@@ -108,6 +111,7 @@ pub struct ForwardChaining {
 
 /// Percentile intervals of the bootstrap over seasons.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Bootstrap {
     /// Number of replicates.
     pub replicates: usize,
@@ -123,6 +127,7 @@ pub struct Bootstrap {
 
 /// Intervals of the scores of one model; `None` where a score is undefined in every replicate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Intervals {
     /// Of the area under the ROC curve.
     pub auc: Option<Interval>,
@@ -134,6 +139,7 @@ pub struct Intervals {
 
 /// A difference of two scores and its interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Difference {
     /// Difference on all seasons.
     pub estimate: f64,

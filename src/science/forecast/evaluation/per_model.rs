@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// One thing for each model. In JSON the keys are the names of the fields.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct PerModel<T> {
     /// The support vector machine with Platt probabilities.
     pub svm: T,

@@ -109,6 +109,7 @@ pub struct Forecast {
 
 /// What the inputs of a forecast lacked.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct InputQuality {
     /// Variables that the features read and that are absent on the base day.
     pub missing: Vec<String>,
@@ -120,6 +121,7 @@ pub struct InputQuality {
 
 /// A support vector and what it says.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct SimilarDay {
     /// The past day, as [`SupportDay::date`].
     pub date: Date,

@@ -45,6 +45,7 @@ pub struct Replicates {
 
 /// An interval that holds the stated share of the replicates.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Interval {
     /// Lower bound.
     pub lower: f64,

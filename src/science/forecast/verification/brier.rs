@@ -37,6 +37,7 @@ pub fn skill(score: Option<f64>, reference: Option<f64>) -> Option<f64> {
 /// 595-600), with the two terms of Stephenson, Coelho & Jolliffe (2008, Weather Forecast. 23, 752-757) for probabilities that
 /// differ within a bin.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Decomposition {
     /// Mean squared distance of forecast and observed frequency over the bins; 0 is best.
     pub reliability: f64,

@@ -6,6 +6,7 @@ use super::ratio;
 
 /// Counts of days. Every score is `None` where its denominator is 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Contingency {
     /// Hits: forecast and happened.
     pub a: u64,

@@ -33,6 +33,7 @@ pub struct Outcome {
 
 /// The scores of a series of forecasts; `None` where undefined.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Scores {
     /// Area under the ROC curve, 0.5 without skill: see [`auc`].
     pub auc: Option<f64>,

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Days whose forecast probability lies in `[lower, upper)`; the last bin also holds its upper edge.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct ReliabilityBin {
     /// Lower edge, 0 to 1.
     pub lower: f64,

@@ -67,6 +67,7 @@ impl<'a> Ranking<'a> {
 
 /// One corner of the ROC curve.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct RocPoint {
     /// Events are forecast where the probability is at least this; `None` at the origin, where none is.
     pub threshold: Option<f64>,
