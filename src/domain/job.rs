@@ -1,5 +1,7 @@
 //! A job and the one state machine that every change of its state goes through.
 
+use std::collections::BTreeMap;
+
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -24,8 +26,10 @@ pub enum Status {
 /// What may happen to a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// A runner takes it.
-    Start,
+    /// A worker takes it: for the first time, or after the attempt before was lost.
+    Claim,
+    /// A worker gives it back unfinished, to be taken again.
+    Release,
     /// The computation has its result.
     Succeed,
     /// The computation cannot have a result.
@@ -54,7 +58,8 @@ impl Status {
     /// [`TransitionError`] where the event is not possible: an ended job never changes again.
     pub const fn after(self, event: Event) -> Result<Self, TransitionError> {
         match (self, event) {
-            (Self::Accepted, Event::Start) => Ok(Self::Running),
+            (Self::Accepted | Self::Running, Event::Claim) => Ok(Self::Running),
+            (Self::Running, Event::Release) => Ok(Self::Accepted),
             (Self::Running, Event::Succeed) => Ok(Self::Successful),
             (Self::Accepted | Self::Running, Event::Fail) => Ok(Self::Failed),
             (Self::Accepted | Self::Running, Event::Dismiss) => Ok(Self::Dismissed),
@@ -97,8 +102,62 @@ pub struct Exception {
     pub detail: String,
 }
 
+/// How far a running job is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// How much of the attempt is done, 0 to 100; never falls within an attempt.
+    pub percent: u8,
+    /// What is being done.
+    pub phase: String,
+    /// How fast: a number of `rate_unit` a second.
+    pub rate: Option<f64>,
+    /// What `rate` counts.
+    pub rate_unit: Option<String>,
+    /// Expected time to the end, s.
+    pub eta_seconds: Option<f64>,
+}
+
+/// Names and values that a client hangs on a job to find it again.
+pub type Labels = BTreeMap<String, String>;
+
+/// How urgent a job is, 0 (last) to 9 (first).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(try_from = "u8", into = "u8")]
+pub struct Priority(u8);
+
+impl Priority {
+    /// The largest value.
+    pub const MAX: u8 = 9;
+
+    /// The value, 0 to 9.
+    #[must_use]
+    pub const fn get(self) -> u8 {
+        self.0
+    }
+}
+
+impl Default for Priority {
+    fn default() -> Self {
+        Self(5)
+    }
+}
+
+impl TryFrom<u8> for Priority {
+    type Error = &'static str;
+
+    fn try_from(value: u8) -> Result<Self, Self::Error> {
+        if value <= Self::MAX { Ok(Self(value)) } else { Err("must be from 0 (last) to 9 (first)") }
+    }
+}
+
+impl From<Priority> for u8 {
+    fn from(priority: Priority) -> Self {
+        priority.0
+    }
+}
+
 /// One job as the store keeps it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Job {
     /// Its id, a UUID version 7.
     pub id: Uuid,
@@ -106,10 +165,8 @@ pub struct Job {
     pub process_id: String,
     /// Where it is in its life.
     pub status: Status,
-    /// How much is done, 0 to 100; never falls.
-    pub progress: u8,
-    /// What is being done.
-    pub phase: Option<String>,
+    /// How far its newest attempt is.
+    pub report: Report,
     /// A sentence on its state.
     pub message: Option<String>,
     /// Why it failed.
@@ -122,9 +179,23 @@ pub struct Job {
     pub version: String,
     /// Who submitted it: the name of a key, or none where no key was needed.
     pub submitted_by: Option<String>,
+    /// Names and values to find it again.
+    pub labels: Labels,
+    /// How urgent it is.
+    pub priority: Priority,
+    /// The job whose result this one is a part of.
+    pub parent: Option<Uuid>,
+    /// Its place among the children of its parent.
+    pub position: Option<u32>,
+    /// Counts the claims, from 1; 0: nobody has taken it. The fence of every write.
+    pub attempt: u32,
+    /// Who took it last.
+    pub worker: Option<String>,
+    /// Computing time over all attempts, ms.
+    pub compute_ms: u64,
     /// When it was accepted.
     pub created: Timestamp,
-    /// When it was started.
+    /// When it was first started.
     pub started: Option<Timestamp>,
     /// When it ended.
     pub finished: Option<Timestamp>,
@@ -139,7 +210,7 @@ mod tests {
     #[test]
     fn an_ended_job_never_changes() {
         for status in Status::ALL.into_iter().filter(|s| s.ended()) {
-            for event in [Event::Start, Event::Succeed, Event::Fail, Event::Dismiss] {
+            for event in [Event::Claim, Event::Release, Event::Succeed, Event::Fail, Event::Dismiss] {
                 assert_eq!(status.after(event), Err(TransitionError { status, event }));
             }
         }
@@ -148,8 +219,10 @@ mod tests {
     #[test]
     fn success_needs_a_start() {
         assert!(Status::Accepted.after(Event::Succeed).is_err());
-        assert_eq!(Status::Accepted.after(Event::Start), Ok(Status::Running));
-        assert!(Status::Running.after(Event::Start).is_err());
+        assert_eq!(Status::Accepted.after(Event::Claim), Ok(Status::Running));
+        assert_eq!(Status::Running.after(Event::Claim), Ok(Status::Running));
+        assert_eq!(Status::Running.after(Event::Release), Ok(Status::Accepted));
+        assert!(Status::Accepted.after(Event::Release).is_err());
         assert_eq!(Status::Running.after(Event::Succeed), Ok(Status::Successful));
     }
 }

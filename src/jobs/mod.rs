@@ -1,6 +1,17 @@
-//! Background jobs: accepted into the store, run in order on a pool of their own, ended exactly once.
+//! Background jobs that nobody loses.
+//!
+//! The row of a job is its state ([`crate::domain::job`], [`crate::store::jobs`]). An [`engine`] only carries tickets that
+//! say which job waits; a [`worker`] takes a ticket, claims the job over a [`link`], computes on its own pool and
+//! delivers; the [`desk`] accepts, answers the links and stores; the [`caretaker`] issues lost tickets again and retires
+//! what is old.
 
+pub mod artifacts;
+pub mod caretaker;
+pub mod control;
+pub mod desk;
+pub mod engine;
+pub mod link;
 pub mod processes;
-mod runner;
+pub mod worker;
 
-pub use runner::{Context, Failure, Jobs, Limits};
+pub use desk::{Desk, Submission, Submitted};

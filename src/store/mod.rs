@@ -65,6 +65,9 @@ pub enum StoreError {
     /// A change that the state machine of jobs forbids.
     #[error(transparent)]
     Transition(#[from] crate::domain::job::TransitionError),
+    /// The attempt counts no more: the job ended, or another worker has taken it.
+    #[error("the attempt counts no more")]
+    Fenced,
     /// `If-Match` or `If-None-Match` does not hold.
     #[error("the precondition does not hold")]
     Precondition,

@@ -1,0 +1,314 @@
+//! The life of an attempt: claimed with a lease, kept alive, given back or ended. Its number fences every write, so that
+//! a worker that was frozen past its lease can change nothing any more.
+
+use jiff::{SignedDuration, Timestamp};
+use sqlx::{Row, Sqlite, Transaction};
+use uuid::Uuid;
+
+use super::{children, history, outputs, rows::JobRow, step};
+use crate::{
+    domain::job::{Event, Exception, Job, Report, Status},
+    store::{Result, Store, StoreError, to_json},
+};
+
+/// What became of the wish to take a job.
+#[derive(Clone, Debug)]
+pub enum Claim {
+    /// It is taken; `checkpoint` is what an earlier attempt saved last.
+    Taken {
+        /// The job, with the number of this attempt.
+        job: Box<Job>,
+        /// The state to go on from.
+        checkpoint: Option<Vec<u8>>,
+    },
+    /// Another worker has it and its lease holds.
+    Busy,
+    /// It has ended or was removed: its ticket is of no more use.
+    Over,
+}
+
+/// The answer to a sign of life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Beat {
+    /// Go on.
+    Go,
+    /// The attempt counts no more: dismissed, ended, or taken over. Stop.
+    Stop,
+}
+
+/// How a computation ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// With these results and large outputs.
+    Successful {
+        /// The results document.
+        results: serde_json::Value,
+        /// Outputs whose bytes are in the artifact store already.
+        outputs: Vec<outputs::OutputRecord>,
+    },
+    /// Without, for this reason.
+    Failed(Exception),
+    /// It goes on as these jobs, and ends when they have.
+    Split(Vec<Job>),
+}
+
+/// What ending an attempt brought about.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Ended {
+    /// Jobs that need a ticket now: new children, or a parent whose children have all ended; with their priority.
+    pub to_ticket: Vec<(Uuid, u8, u32)>,
+}
+
+/// A job whose attempts end without a word so often in a row, with no checkpoint between, takes its worker down.
+const MOST_LOST_ATTEMPTS: u32 = 5;
+
+impl Store {
+    /// Takes a job for `worker` until `lease` from now. A running job can be taken only once its lease has ended; a job
+    /// that lost its worker too often in a row is failed instead.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where it cannot be stored.
+    pub async fn claim_job(&self, id: Uuid, worker: &str, now: Timestamp, lease: SignedDuration) -> Result<Claim> {
+        let mut tx = self.begin().await?;
+        let row = sqlx::query("SELECT status, lease_until_ms, lost, waits_for_children FROM job WHERE id = ?")
+            .bind(id.to_string())
+            .fetch_optional(&mut *tx)
+            .await?;
+        let Some(row) = row else { return Ok(Claim::Over) };
+        let status = row.try_get::<String, _>("status")?;
+        let status = Status::from_name(&status).ok_or_else(|| StoreError::corrupt(status))?;
+        if status.ended() || row.try_get::<bool, _>("waits_for_children")? {
+            return Ok(Claim::Over);
+        }
+        let orphaned = status == Status::Running;
+        if orphaned && row.try_get::<i64, _>("lease_until_ms")? >= now.as_millisecond() {
+            return Ok(Claim::Busy);
+        }
+        let lost: u32 = row.try_get::<u32, _>("lost")? + u32::from(orphaned);
+        if lost >= MOST_LOST_ATTEMPTS {
+            let detail = format!("{lost} attempts in a row ended without a word: the job takes its worker down");
+            fail(&mut tx, id, &Exception { code: "crashed-repeatedly".into(), detail }, now).await?;
+            tx.commit().await?;
+            return Ok(Claim::Over);
+        }
+        let next = status.after(Event::Claim)?;
+        let job = sqlx::query_as::<_, JobRow>(
+            "UPDATE job SET status = ?2, attempt = attempt + 1, lost = ?3, worker = ?4, lease_until_ms = ?5, progress = 0,
+                 phase = NULL, rate = NULL, rate_unit = NULL, eta_seconds = NULL,
+                 started = coalesce(started, ?6), updated = ?6
+             WHERE id = ?1 RETURNING *",
+        )
+        .bind(id.to_string())
+        .bind(next.name())
+        .bind(lost)
+        .bind(worker)
+        .bind(after(now, lease))
+        .bind(now.to_string())
+        .fetch_one(&mut *tx)
+        .await?
+        .0;
+        let checkpoint = sqlx::query_scalar("SELECT bytes FROM job_checkpoint WHERE job = ?")
+            .bind(id.to_string())
+            .fetch_optional(&mut *tx)
+            .await?;
+        history::note(&mut tx, id, "status", &serde_json::json!({"status": next, "attempt": job.attempt})).await?;
+        tx.commit().await?;
+        Ok(Claim::Taken { job: Box::new(job), checkpoint })
+    }
+
+    /// A sign of life of an attempt: prolongs its lease and notes how far it is.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where it cannot be stored.
+    pub async fn beat_job(
+        &self,
+        id: Uuid,
+        attempt: u32,
+        report: &Report,
+        now: Timestamp,
+        lease: SignedDuration,
+    ) -> Result<Beat> {
+        let mut tx = self.begin().await?;
+        let done = sqlx::query(
+            "UPDATE job SET lease_until_ms = ?3, progress = max(progress, ?4), phase = ?5, rate = ?6, rate_unit = ?7,
+                 eta_seconds = ?8, updated = ?9
+             WHERE id = ?1 AND attempt = ?2 AND status = 'running'",
+        )
+        .bind(id.to_string())
+        .bind(attempt)
+        .bind(after(now, lease))
+        .bind(report.percent.min(99))
+        .bind(&report.phase)
+        .bind(report.rate)
+        .bind(report.rate_unit.as_deref())
+        .bind(report.eta_seconds)
+        .bind(now.to_string())
+        .execute(&mut *tx)
+        .await?;
+        if done.rows_affected() == 0 {
+            return Ok(Beat::Stop);
+        }
+        let body = serde_json::to_value(report).map_err(StoreError::corrupt)?;
+        history::note_progress(&mut tx, id, attempt, &body).await?;
+        tx.commit().await?;
+        Ok(Beat::Go)
+    }
+
+    /// Saves the state of an attempt; an attempt that saved something was not lost for nothing.
+    ///
+    /// # Errors
+    /// [`StoreError::Fenced`] where the attempt counts no more.
+    pub async fn save_checkpoint(&self, id: Uuid, attempt: u32, bytes: &[u8], now: Timestamp) -> Result<()> {
+        let mut tx = self.begin().await?;
+        fence(&mut tx, id, attempt).await?;
+        sqlx::query("INSERT OR REPLACE INTO job_checkpoint (job, attempt, made, bytes) VALUES (?, ?, ?, ?)")
+            .bind(id.to_string())
+            .bind(attempt)
+            .bind(now.to_string())
+            .bind(bytes)
+            .execute(&mut *tx)
+            .await?;
+        sqlx::query("UPDATE job SET lost = 0 WHERE id = ?").bind(id.to_string()).execute(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(())
+    }
+
+    /// Gives a job back unfinished: the next claim goes on from its last checkpoint.
+    ///
+    /// # Errors
+    /// [`StoreError::Fenced`] where the attempt counts no more.
+    pub async fn release_job(&self, id: Uuid, attempt: u32, compute_ms: u64, now: Timestamp) -> Result<()> {
+        let mut tx = self.begin().await?;
+        fence(&mut tx, id, attempt).await?;
+        let status = step(&mut tx, id, Event::Release).await?;
+        sqlx::query(
+            "UPDATE job SET status = ?2, lease_until_ms = 0, ticketed_ms = 0, phase = NULL, compute_ms = compute_ms + ?3,
+                 updated = ?4
+             WHERE id = ?1",
+        )
+        .bind(id.to_string())
+        .bind(status.name())
+        .bind(i64::try_from(compute_ms).unwrap_or(i64::MAX))
+        .bind(now.to_string())
+        .execute(&mut *tx)
+        .await?;
+        history::note(&mut tx, id, "status", &serde_json::json!({"status": status, "attempt": attempt})).await?;
+        tx.commit().await?;
+        Ok(())
+    }
+
+    /// Ends an attempt with its outcome; `more` writes what must become true in the same transaction and may complete
+    /// the results.
+    ///
+    /// # Errors
+    /// [`StoreError::Fenced`] where the attempt counts no more: then nothing is written.
+    pub async fn finish_job<F>(
+        &self,
+        id: Uuid,
+        attempt: u32,
+        outcome: Outcome,
+        compute_ms: u64,
+        now: Timestamp,
+        more: F,
+    ) -> Result<Ended>
+    where
+        F: AsyncFnOnce(&mut Transaction<'_, Sqlite>, &mut serde_json::Value) -> Result<()>,
+    {
+        let mut tx = self.begin().await?;
+        fence(&mut tx, id, attempt).await?;
+        sqlx::query("UPDATE job SET compute_ms = compute_ms + ?2 WHERE id = ?1")
+            .bind(id.to_string())
+            .bind(i64::try_from(compute_ms).unwrap_or(i64::MAX))
+            .execute(&mut *tx)
+            .await?;
+        let ended = match outcome {
+            Outcome::Split(jobs) => children::split(&mut tx, id, &jobs, now).await?,
+            Outcome::Failed(exception) => fail(&mut tx, id, &exception, now).await?,
+            Outcome::Successful { mut results, outputs } => {
+                more(&mut tx, &mut results).await?;
+                outputs::insert(&mut tx, id, &outputs).await?;
+                succeed(&mut tx, id, &results, now).await?
+            }
+        };
+        tx.commit().await?;
+        Ok(ended)
+    }
+
+    /// Makes every running job claimable at once: what a server does at its start whose workers died with it.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where it cannot be stored.
+    pub async fn end_all_leases(&self) -> Result<u64> {
+        let mut tx = self.begin().await?;
+        let done = sqlx::query("UPDATE job SET lease_until_ms = 0, ticketed_ms = 0 WHERE status = 'running'")
+            .execute(&mut *tx)
+            .await?;
+        sqlx::query("UPDATE job SET ticketed_ms = 0 WHERE status = 'accepted'").execute(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(done.rows_affected())
+    }
+}
+
+fn after(now: Timestamp, lease: SignedDuration) -> i64 {
+    now.as_millisecond().saturating_add(i64::try_from(lease.as_millis()).unwrap_or(i64::MAX))
+}
+
+async fn fence(tx: &mut Transaction<'_, Sqlite>, id: Uuid, attempt: u32) -> Result<()> {
+    let holds: Option<i64> =
+        sqlx::query_scalar("SELECT 1 FROM job WHERE id = ? AND attempt = ? AND status = 'running' AND waits_for_children = 0")
+            .bind(id.to_string())
+            .bind(attempt)
+            .fetch_optional(&mut **tx)
+            .await?;
+    holds.map(|_| ()).ok_or(StoreError::Fenced)
+}
+
+async fn succeed(
+    tx: &mut Transaction<'_, Sqlite>,
+    id: Uuid,
+    results: &serde_json::Value,
+    now: Timestamp,
+) -> Result<Ended> {
+    let status = step(tx, id, Event::Succeed).await?;
+    sqlx::query(
+        "UPDATE job SET status = ?2, progress = 100, results = ?3, message = NULL, exception = NULL, phase = NULL,
+             eta_seconds = NULL, finished = ?4, updated = ?4
+         WHERE id = ?1",
+    )
+    .bind(id.to_string())
+    .bind(status.name())
+    .bind(to_json(results)?)
+    .bind(now.to_string())
+    .execute(&mut **tx)
+    .await?;
+    after_the_end(tx, id, status, now).await
+}
+
+pub(super) async fn fail(
+    tx: &mut Transaction<'_, Sqlite>,
+    id: Uuid,
+    exception: &Exception,
+    now: Timestamp,
+) -> Result<Ended> {
+    let status = step(tx, id, Event::Fail).await?;
+    sqlx::query(
+        "UPDATE job SET status = ?2, exception = ?3, message = ?4, phase = NULL, eta_seconds = NULL,
+             waits_for_children = 0, finished = ?5, updated = ?5
+         WHERE id = ?1",
+    )
+    .bind(id.to_string())
+    .bind(status.name())
+    .bind(to_json(exception)?)
+    .bind(&exception.detail)
+    .bind(now.to_string())
+    .execute(&mut **tx)
+    .await?;
+    after_the_end(tx, id, status, now).await
+}
+
+/// An ended job needs no checkpoint, and may be the last child that its parent waits for.
+async fn after_the_end(tx: &mut Transaction<'_, Sqlite>, id: Uuid, status: Status, now: Timestamp) -> Result<Ended> {
+    sqlx::query("DELETE FROM job_checkpoint WHERE job = ?").bind(id.to_string()).execute(&mut **tx).await?;
+    history::note(tx, id, "status", &serde_json::json!({"status": status})).await?;
+    children::one_ended(tx, id, now).await
+}

@@ -1,0 +1,293 @@
+//! Job records. Every change of state is checked by [`crate::domain::job`] inside the transaction that writes it, and
+//! every write of a worker is fenced by the number of its attempt.
+
+mod attempts;
+mod children;
+mod history;
+mod idempotency;
+mod outputs;
+mod rows;
+
+use jiff::Timestamp;
+use sqlx::{Row, Sqlite, Transaction};
+use uuid::Uuid;
+
+pub use attempts::{Beat, Claim, Ended, Outcome};
+pub use children::ChildEnd;
+pub use history::{EventRecord, LogRecord, Retention};
+pub use idempotency::{Answer, Held, Reservation};
+pub use outputs::OutputRecord;
+use rows::JobRow;
+
+use super::{Result, Store, StoreError, to_json};
+use crate::domain::job::{Event, Job, Status};
+
+/// Which jobs a list shows.
+#[derive(Clone, Debug, Default)]
+pub struct JobFilter {
+    /// Only these states; empty: all.
+    pub status: Vec<Status>,
+    /// Only jobs of these processes; empty: all.
+    pub process_id: Vec<String>,
+    /// Only jobs made at or after this instant.
+    pub created_from: Option<Timestamp>,
+    /// Only jobs made at or before this instant.
+    pub created_to: Option<Timestamp>,
+    /// Only jobs that took (or have taken, while running) at least this long, s.
+    pub min_duration_s: Option<f64>,
+    /// Only jobs that took (or have taken, while running) at most this long, s.
+    pub max_duration_s: Option<f64>,
+    /// Only jobs with all of these labels.
+    pub labels: Vec<(String, String)>,
+    /// Only children of this job.
+    pub parent: Option<Uuid>,
+    /// Only jobs older than this one.
+    pub before: Option<Uuid>,
+}
+
+/// Moves a job on by `event`, or says why that cannot be.
+async fn step(tx: &mut Transaction<'_, Sqlite>, id: Uuid, event: Event) -> Result<Status> {
+    let status: Option<String> =
+        sqlx::query_scalar("SELECT status FROM job WHERE id = ?").bind(id.to_string()).fetch_optional(&mut **tx).await?;
+    let status = status.ok_or(StoreError::Missing)?;
+    let status = Status::from_name(&status).ok_or_else(|| StoreError::corrupt(status))?;
+    Ok(status.after(event)?)
+}
+
+/// Writes a job that nobody has taken yet.
+async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &Job) -> Result<()> {
+    sqlx::query(
+        "INSERT INTO job (id, process_id, status, progress, inputs, input_hash, version, submitted_by, labels, priority,
+             parent, position, created, updated)
+         VALUES (?1, ?2, 'accepted', 0, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?11)",
+    )
+    .bind(job.id.to_string())
+    .bind(&job.process_id)
+    .bind(to_json(&job.inputs)?)
+    .bind(&job.input_hash)
+    .bind(&job.version)
+    .bind(job.submitted_by.as_deref())
+    .bind(to_json(&job.labels)?)
+    .bind(job.priority.get())
+    .bind(job.parent.map(|id| id.to_string()))
+    .bind(job.position)
+    .bind(job.created.to_string())
+    .execute(&mut **tx)
+    .await?;
+    history::note(tx, job.id, "status", &serde_json::json!({"status": Status::Accepted})).await
+}
+
+impl Store {
+    /// Accepts a job, together with the answer to its idempotency key where there is one: once this returns, both are on
+    /// disk.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where they cannot be stored.
+    pub async fn insert_job(&self, job: &Job, answer: Option<(&Reservation, &Answer)>) -> Result<()> {
+        let mut tx = self.begin().await?;
+        insert(&mut tx, job).await?;
+        if let Some((reservation, answer)) = answer {
+            idempotency::settle(&mut tx, reservation, answer).await?;
+        }
+        tx.commit().await?;
+        Ok(())
+    }
+
+    /// The job of that id.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn job(&self, id: Uuid) -> Result<Option<Job>> {
+        let row = sqlx::query_as::<_, JobRow>("SELECT * FROM job WHERE id = ?")
+            .bind(id.to_string())
+            .fetch_optional(&self.reader)
+            .await?;
+        Ok(row.map(|row| row.0))
+    }
+
+    /// The results of a successful job.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn job_results(&self, id: Uuid) -> Result<Option<serde_json::Value>> {
+        let text: Option<Option<String>> = sqlx::query_scalar("SELECT results FROM job WHERE id = ?")
+            .bind(id.to_string())
+            .fetch_optional(&self.reader)
+            .await?;
+        text.flatten().as_deref().map(super::from_json).transpose()
+    }
+
+    /// The newest successful job with the same process, input hash and version: its results are those of a new one.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn job_of_input(&self, process_id: &str, input_hash: &str, version: &str) -> Result<Option<Job>> {
+        let row = sqlx::query_as::<_, JobRow>(
+            "SELECT * FROM job WHERE input_hash = ? AND process_id = ? AND version = ? AND status = 'successful'
+             ORDER BY id DESC LIMIT 1",
+        )
+        .bind(input_hash)
+        .bind(process_id)
+        .bind(version)
+        .fetch_optional(&self.reader)
+        .await?;
+        Ok(row.map(|row| row.0))
+    }
+
+    /// Up to `limit` jobs, newest first.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn jobs(&self, filter: &JobFilter, now: Timestamp, limit: u32) -> Result<Vec<Job>> {
+        let mut query = sqlx::QueryBuilder::<Sqlite>::new("SELECT * FROM job WHERE 1");
+        if let Some(before) = filter.before {
+            query.push(" AND id < ").push_bind(before.to_string());
+        }
+        if let Some(parent) = filter.parent {
+            query.push(" AND parent = ").push_bind(parent.to_string());
+        }
+        if let Some(from) = filter.created_from {
+            query.push(" AND julianday(created) >= julianday(").push_bind(from.to_string()).push(")");
+        }
+        if let Some(to) = filter.created_to {
+            query.push(" AND julianday(created) <= julianday(").push_bind(to.to_string()).push(")");
+        }
+        for (name, value) in &filter.labels {
+            query.push(" AND EXISTS (SELECT 1 FROM json_each(job.labels) AS label WHERE label.key = ");
+            query.push_bind(name.clone()).push(" AND label.value = ").push_bind(value.clone()).push(")");
+        }
+        let names: Vec<&str> = filter.status.iter().map(|status| status.name()).collect();
+        push_list(&mut query, "status", &names);
+        push_list(&mut query, "process_id", &filter.process_id);
+        for (limit, comparison) in [(filter.min_duration_s, " >= "), (filter.max_duration_s, " <= ")] {
+            if let Some(seconds) = limit {
+                query.push(" AND started IS NOT NULL AND (julianday(coalesce(finished, ").push_bind(now.to_string());
+                query.push(")) - julianday(started)) * 86400.0").push(comparison).push_bind(seconds);
+            }
+        }
+        query.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
+        let rows = query.build_query_as::<JobRow>().fetch_all(&self.reader).await?;
+        Ok(rows.into_iter().map(|row| row.0).collect())
+    }
+
+    /// How many jobs wait for a worker, and since when the one that waits longest.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn waiting_jobs(&self) -> Result<u32> {
+        Ok(sqlx::query_scalar("SELECT count(*) FROM job WHERE status = 'accepted'").fetch_one(&self.reader).await?)
+    }
+
+    /// Gives a job up, and with it every child that has not ended; says which jobs that were.
+    ///
+    /// # Errors
+    /// [`StoreError::Transition`] where it has ended before, [`StoreError::Missing`] where there is none.
+    pub async fn dismiss_job(&self, id: Uuid, now: Timestamp) -> Result<Vec<Uuid>> {
+        let mut tx = self.begin().await?;
+        step(&mut tx, id, Event::Dismiss).await?;
+        // the parent first, so that it waits for nobody any more when its children end
+        let open = "SELECT id FROM job WHERE (id = ?1 OR parent = ?1) AND status IN ('accepted', 'running')
+                    ORDER BY id <> ?1";
+        let ids: Vec<String> = sqlx::query_scalar(open).bind(id.to_string()).fetch_all(&mut *tx).await?;
+        let ids: Vec<Uuid> = ids.iter().map(|id| id.parse().map_err(StoreError::corrupt)).collect::<Result<_>>()?;
+        for id in &ids {
+            dismiss_one(&mut tx, *id, now).await?;
+        }
+        tx.commit().await?;
+        Ok(ids)
+    }
+
+    /// Removes a job that has ended, with its children, and says which outputs lie in the artifact store no more needed.
+    ///
+    /// # Errors
+    /// [`StoreError::Missing`] where there is no ended job of that id.
+    pub async fn remove_job(&self, id: Uuid) -> Result<Vec<String>> {
+        let mut tx = self.begin().await?;
+        let digests = outputs::only_of(&mut tx, id).await?;
+        let done = sqlx::query("DELETE FROM job WHERE id = ? AND status IN ('successful', 'failed', 'dismissed')")
+            .bind(id.to_string())
+            .execute(&mut *tx)
+            .await?;
+        if done.rows_affected() == 0 {
+            return Err(StoreError::Missing);
+        }
+        tx.commit().await?;
+        Ok(digests)
+    }
+
+    /// Jobs that wait and whose ticket is older than `ticketed_before`, or that run with a lease that has ended: what an
+    /// engine may have lost. First come, first served within a priority.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn jobs_without_ticket(
+        &self,
+        ticketed_before: Timestamp,
+        now: Timestamp,
+        limit: u32,
+    ) -> Result<Vec<(Uuid, u8, u32)>> {
+        let rows = sqlx::query(
+            "SELECT id, priority, attempt FROM job
+             WHERE (status = 'accepted' AND ticketed_ms < ?1)
+                OR (status = 'running' AND waits_for_children = 0 AND lease_until_ms < ?2 AND ticketed_ms < ?1)
+             ORDER BY priority DESC, id LIMIT ?3",
+        )
+        .bind(ticketed_before.as_millisecond())
+        .bind(now.as_millisecond())
+        .bind(limit)
+        .fetch_all(&self.reader)
+        .await?;
+        rows.iter()
+            .map(|row| {
+                let id = row.try_get::<String, _>("id")?.parse().map_err(StoreError::corrupt)?;
+                Ok((id, row.try_get("priority")?, row.try_get("attempt")?))
+            })
+            .collect()
+    }
+
+    /// Notes that the tickets of these jobs are with the engine.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where it cannot be stored.
+    pub async fn mark_ticketed(&self, ids: &[Uuid], now: Timestamp) -> Result<()> {
+        let mut tx = self.begin().await?;
+        for id in ids {
+            sqlx::query("UPDATE job SET ticketed_ms = ? WHERE id = ?")
+                .bind(now.as_millisecond())
+                .bind(id.to_string())
+                .execute(&mut *tx)
+                .await?;
+        }
+        tx.commit().await?;
+        Ok(())
+    }
+}
+
+async fn dismiss_one(tx: &mut Transaction<'_, Sqlite>, id: Uuid, now: Timestamp) -> Result<()> {
+    let status = step(tx, id, Event::Dismiss).await?;
+    sqlx::query(
+        "UPDATE job SET status = ?2, message = 'dismissed on request', phase = NULL, waits_for_children = 0,
+             finished = ?3, updated = ?3
+         WHERE id = ?1",
+    )
+    .bind(id.to_string())
+    .bind(status.name())
+    .bind(now.to_string())
+    .execute(&mut **tx)
+    .await?;
+    history::note(tx, id, "status", &serde_json::json!({"status": status})).await?;
+    sqlx::query("DELETE FROM job_checkpoint WHERE job = ?").bind(id.to_string()).execute(&mut **tx).await?;
+    children::one_ended(tx, id, now).await.map(|_| ())
+}
+
+fn push_list<T: AsRef<str>>(query: &mut sqlx::QueryBuilder<Sqlite>, column: &str, values: &[T]) {
+    if values.is_empty() {
+        return;
+    }
+    query.push(" AND ").push(column).push(" IN (");
+    let mut list = query.separated(", ");
+    for value in values {
+        list.push_bind(value.as_ref().to_owned());
+    }
+    query.push(")");
+}
