@@ -11,6 +11,8 @@ pub mod matrix;
 pub mod model;
 pub mod neighbours;
 pub mod preparation;
+#[cfg(test)]
+mod problems;
 pub mod svm;
 pub mod synthetic;
 pub mod verification;
