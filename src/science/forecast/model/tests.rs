@@ -326,6 +326,24 @@ fn json_has_the_promised_names() {
     assert_eq!(serde_json::to_string(&rule).unwrap(), r#"{"kind":"cost_loss","ratio":0.25}"#);
 }
 
+/// Constant, absent and enormous columns: a result or an error, never a panic and never NaN.
+#[test]
+fn absurd_values_are_survived() {
+    let mut days = synthetic_station(5, 2000, 4);
+    for (i, day) in days.iter_mut().enumerate() {
+        day.values[Variable::AirTemperature.index()] = Some(if i % 7 == 0 { 1e300 } else { -1e300 });
+        day.values[Variable::WindSpeed.index()] = Some(f64::MAX / (1 + i % 3) as f64);
+        day.values[Variable::CloudCover.index()] = None;
+        day.values[Variable::SnowTemperature.index()] = Some(f64::INFINITY);
+        day.values[Variable::FootPenetration.index()] = Some(4.0);
+    }
+    let options = TrainingOptions { grid: Grid { c: vec![1e-9, 1e9], gamma: vec![1e-12, 1e12] }, ..options() };
+    match train(&days, &options, &Unobserved) {
+        Ok(trained) => assert!(!format!("{trained:?}").contains("NaN")),
+        Err(error) => assert!(matches!(error, TrainingError::Grid(_) | TrainingError::Machine(_)), "{error}"),
+    }
+}
+
 #[test]
 fn a_cost_loss_ratio_is_the_threshold_of_every_model() {
     let options = TrainingOptions {
