@@ -392,3 +392,7 @@ fn area_under_roc(values: &[f64], events: &[bool]) -> Option<f64> {
     (positives > 0.0 && negatives > 0.0)
         .then(|| (rank_sum - positives * (positives + 1.0) / 2.0) / (positives * negatives))
 }
+
+#[cfg(test)]
+#[path = "grid_tests.rs"]
+mod tests;
