@@ -41,6 +41,12 @@ pub struct Settings {
     /// Jobs that may wait; more are refused with 503 [default: 10000]
     #[arg(long, env = "FIRN_MAX_QUEUE", value_name = "N")]
     pub max_queue: Option<u32>,
+    /// Days that ended jobs are kept [default: 90]
+    #[arg(long, env = "FIRN_KEEP_JOBS_DAYS", value_name = "DAYS")]
+    pub keep_jobs_days: Option<u32>,
+    /// MiB that ended jobs may need before the oldest go [default: 20480]
+    #[arg(long, env = "FIRN_KEEP_JOBS_MIB", value_name = "MIB")]
+    pub keep_jobs_mib: Option<u64>,
     /// Seconds that a shutdown may take [default: 20]
     #[arg(long, env = "FIRN_SHUTDOWN_TIMEOUT_S", value_name = "S")]
     pub shutdown_timeout_s: Option<u64>,
@@ -83,6 +89,10 @@ pub struct Config {
     pub job_slots: usize,
     /// Jobs that may wait.
     pub max_queue: u32,
+    /// Days that ended jobs are kept.
+    pub keep_jobs_days: u32,
+    /// Bytes that ended jobs may need before the oldest go.
+    pub keep_jobs_bytes: u64,
     /// How long a shutdown may take.
     pub shutdown_timeout: Duration,
     /// How log lines look.
@@ -138,6 +148,8 @@ impl Settings {
             compute_threads: self.compute_threads.or(file.compute_threads).map_or(cores, NonZeroUsize::get),
             job_slots: self.job_slots.or(file.job_slots).map_or(2, NonZeroUsize::get),
             max_queue: self.max_queue.or(file.max_queue).unwrap_or(10_000),
+            keep_jobs_days: self.keep_jobs_days.or(file.keep_jobs_days).unwrap_or(90),
+            keep_jobs_bytes: self.keep_jobs_mib.or(file.keep_jobs_mib).unwrap_or(20 * 1024).saturating_mul(1024 * 1024),
             shutdown_timeout: Duration::from_secs(self.shutdown_timeout_s.or(file.shutdown_timeout_s).unwrap_or(20)),
             log_format: self.log_format.or(file.log_format).unwrap_or(LogFormat::Text),
             log: self.log.or(file.log).unwrap_or_else(|| "info".into()),

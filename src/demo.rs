@@ -10,12 +10,16 @@ use crate::{
     clock,
     domain::{
         ids::StationId,
+        job::{Job, Labels, Priority},
         observation::AvalancheRecord,
         station::{Station, StationBody},
     },
-    jobs::processes::Process,
+    jobs::{Submission, Submitted, processes::Process},
     server::ServerError,
-    store::observations::{Author, DayWrite},
+    store::{
+        jobs::Answer,
+        observations::{Author, DayWrite},
+    },
 };
 
 /// The name of the station in every address: nobody shall take it for a place.
@@ -50,8 +54,19 @@ pub async fn start(state: &AppState, address: SocketAddr) -> Result<(), ServerEr
     }
     if state.store.active_model(&id, 0).await?.is_none() {
         let inputs = json!({"station": STATION, "label": "observed", "lead": 0});
-        let job = state.jobs.submit(Process::TrainModel, &inputs, None).await?;
-        tracing::info!("the demo trains its model: http://{address}/v1/jobs/{}", job.id);
+        let submission = Submission {
+            process: Process::TrainModel,
+            inputs,
+            labels: Labels::new(),
+            priority: Priority::default(),
+            submitted_by: None,
+            anew: false,
+            reservation: None,
+        };
+        let render = |job: &Job| Answer { location: format!("/v1/jobs/{}", job.id), body: json!(null) };
+        if let Submitted::New(answer) = state.desk.submit(submission, render).await? {
+            tracing::info!("the demo trains its model: http://{address}{}", answer.location);
+        }
     }
     tracing::info!("look at http://{address}/ ; its station `{STATION}` is made by a generator and is no real place");
     Ok(())

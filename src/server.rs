@@ -8,7 +8,13 @@ use tokio_util::sync::CancellationToken;
 use crate::{
     api::{self, AppState, auth},
     config::Config,
-    jobs::{Jobs, Limits},
+    jobs::{
+        Desk,
+        artifacts::Artifacts,
+        caretaker::{self, Keep},
+        engine::{Engine, local::Local},
+        worker::{Worker, WorkerOptions},
+    },
     store::{self, Store},
 };
 
@@ -19,6 +25,7 @@ pub type ServerError = Box<dyn std::error::Error + Send + Sync>;
 pub struct Server {
     listener: TcpListener,
     state: AppState,
+    worker: Worker,
     // held to the end: no second server may work on the same data
     _lock: std::fs::File,
 }
@@ -33,13 +40,18 @@ impl Server {
         let lock = store::lock(&config.data_dir)?;
         let store = Store::open(&config.data_dir).await?;
         refuse_open_door(&config, &store).await?;
-        let limits = Limits { threads: config.compute_threads, slots: config.job_slots, queue: config.max_queue };
         let listener = TcpListener::bind(config.listen)
             .await
             .map_err(|error| format!("{} cannot be listened on: {error}", config.listen))?;
-        let jobs = Jobs::start(store.clone(), limits).await?;
-        let state = AppState { store, jobs, config: Arc::new(config), stopping: CancellationToken::new() };
-        Ok(Self { listener, state, _lock: lock })
+        let engine: Arc<dyn Engine> = Arc::new(Local::default());
+        let artifacts = Artifacts::folder(&config.data_dir.join("artifacts"))?;
+        let desk = Desk::new(store.clone(), Arc::clone(&engine), artifacts, config.max_queue);
+        caretaker::take_up(&desk, true).await?;
+        let options =
+            WorkerOptions { name: "local".into(), threads: config.compute_threads, slots: config.job_slots };
+        let worker = Worker::start(engine, Arc::new(desk.clone()), options)?;
+        let state = AppState { store, desk, config: Arc::new(config), stopping: CancellationToken::new() };
+        Ok(Self { listener, state, worker, _lock: lock })
     }
 
     /// The address that it listens on; with port 0 the system chose one.
@@ -62,7 +74,9 @@ impl Server {
     /// # Errors
     /// Where the socket fails.
     pub async fn run(self, stop: CancellationToken) -> Result<(), ServerError> {
-        let Self { listener, state, _lock } = self;
+        let Self { listener, state, worker, _lock } = self;
+        let keep = Keep { days: state.config.keep_jobs_days, bytes: state.config.keep_jobs_bytes };
+        let caretaker = tokio::spawn(caretaker::run(state.desk.clone(), keep, stop.clone()));
         let deadline = state.config.shutdown_timeout;
         let router = api::router(state.clone());
         let drained = CancellationToken::new();
@@ -81,7 +95,8 @@ impl Server {
         };
         let give_up = async {
             stop.cancelled().await;
-            state.jobs.stop(deadline).await;
+            state.desk.close();
+            worker.stop(deadline).await;
             // clients that hold a connection open must not hold the process
             let _ = tokio::time::timeout(deadline, drained.cancelled()).await;
         };
@@ -93,6 +108,8 @@ impl Server {
             }
             () = &mut give_up => tracing::warn!("open connections were cut"),
         }
+        // it ends with the same token
+        let _ = caretaker.await;
         state.store.close().await;
         tracing::info!("stopped");
         Ok(())

@@ -3,17 +3,18 @@
 use axum::{
     Json,
     extract::State,
+    http::HeaderValue,
     response::{IntoResponse, Response},
 };
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use tokio::sync::broadcast;
 use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
 use super::{
     AppState,
-    extract::{Conditions, Path, Query},
+    extract::{Conditions, Path, Query, Wait},
     landing::Link,
     problem::ApiResult,
     respond,
@@ -22,7 +23,7 @@ use super::{
 use crate::{
     clock,
     domain::{
-        job::{Exception, Job, Status},
+        job::{Exception, Job, Labels, Priority, Status},
         problem::{Code, Problem},
     },
     store::{StoreError, jobs::JobFilter},
@@ -36,7 +37,7 @@ pub struct JobPath {
     /// Id of the job.
     #[serde(rename = "jobID")]
     #[param(rename = "jobID")]
-    job_id: Uuid,
+    pub job_id: Uuid,
 }
 
 /// Which jobs.
@@ -69,6 +70,13 @@ pub struct JobsQuery {
     #[serde(default, rename = "maxDuration")]
     #[param(rename = "maxDuration", minimum = 0)]
     max_duration: Option<u32>,
+    /// Only jobs with this label, as `name:value`; several with commas.
+    #[serde(default)]
+    #[param(example = "campaign:2007")]
+    label: Option<String>,
+    /// Only the children of this job.
+    #[serde(default)]
+    parent: Option<Uuid>,
     /// Largest number of jobs in the answer, 1 to 1000.
     #[serde(default)]
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1000, default = 100)]
@@ -124,11 +132,29 @@ pub struct StatusInfo {
     process_id: String,
     /// Where it is in its life.
     status: Status,
-    /// How much is done, 0 to 100; never falls.
+    /// How much of the newest attempt is done, 0 to 100; never falls within an attempt.
     #[schema(minimum = 0, maximum = 100)]
     progress: u8,
     /// What is being done.
     phase: Option<String>,
+    /// How fast: so many `rateUnit` a second.
+    rate: Option<f64>,
+    /// What `rate` counts.
+    rate_unit: Option<String>,
+    /// Expected time to the end, s.
+    eta_seconds: Option<f64>,
+    /// Counts how often a worker took the job, from 1; 0: none has.
+    attempt: u32,
+    /// How urgent it is, 0 (last) to 9 (first).
+    #[schema(value_type = u8, minimum = 0, maximum = 9)]
+    priority: Priority,
+    /// Names and values to find it again.
+    #[schema(value_type = std::collections::BTreeMap<String, String>)]
+    labels: Labels,
+    /// The job whose result this one is a part of.
+    parent: Option<Uuid>,
+    /// True where the answer is a job that computed the same before.
+    reused: bool,
     /// A sentence on its state.
     message: Option<String>,
     /// Why it failed.
@@ -159,7 +185,10 @@ pub struct JobList {
 impl From<Job> for StatusInfo {
     fn from(job: Job) -> Self {
         let at = format!("/v1/jobs/{}", job.id);
-        let mut links = vec![Link::json(at.clone(), "self", "this document")];
+        let mut links = vec![
+            Link::json(at.clone(), "self", "this document"),
+            Link::json(at.clone(), "monitor", "the status of the job"),
+        ];
         if job.status == Status::Successful {
             links.push(Link::json(
                 format!("{at}/results"),
@@ -167,14 +196,27 @@ impl From<Job> for StatusInfo {
                 "the results",
             ));
         }
+        links.push(Link::json(format!("{at}/log"), "http://www.opengis.net/def/rel/ogc/1.0/log", "the log"));
+        if let Some(parent) = job.parent {
+            links.push(Link::json(format!("/v1/jobs/{parent}"), "up", "the job that it is a part of"));
+        }
+        let ended = job.status.ended();
         Self {
             job_id: job.id,
             id: job.id,
             r#type: "process",
             process_id: job.process_id,
             status: job.status,
-            progress: job.progress,
-            phase: job.phase,
+            progress: job.report.percent,
+            phase: Some(job.report.phase).filter(|phase| !phase.is_empty()),
+            rate: job.report.rate,
+            rate_unit: job.report.rate_unit,
+            eta_seconds: job.report.eta_seconds.filter(|_| !ended),
+            attempt: job.attempt,
+            priority: job.priority,
+            labels: job.labels,
+            parent: job.parent,
+            reused: false,
             message: job.message,
             exception: job.exception,
             created: job.created,
@@ -186,7 +228,15 @@ impl From<Job> for StatusInfo {
     }
 }
 
-async fn find(state: &AppState, id: Uuid) -> ApiResult<Job> {
+impl StatusInfo {
+    /// The same, as the answer to a request that asked for what was computed before.
+    pub fn reused(job: Job) -> Self {
+        Self { reused: true, ..Self::from(job) }
+    }
+}
+
+/// The job of that id.
+pub async fn find(state: &AppState, id: Uuid) -> ApiResult<Job> {
     let job = state.store.job(id).await?;
     job.ok_or_else(|| Problem::new(Code::NoSuchJob, format!("there is no job {id}")).into())
 }
@@ -199,6 +249,16 @@ fn states(list: Option<&str>) -> Result<Vec<Status>, Problem> {
         })
     };
     list.map_or_else(|| Ok(Vec::new()), |list| list.split(',').map(parse).collect())
+}
+
+fn labels(list: Option<&str>) -> Result<Vec<(String, String)>, Problem> {
+    let pair = |text: &str| {
+        text.split_once(':').map(|(name, value)| (name.to_owned(), value.to_owned())).ok_or_else(|| {
+            let detail = "must be name:value, several with commas between";
+            Problem::field(Code::InvalidParameter, "/label", "wrong_pattern", detail)
+        })
+    };
+    list.map_or_else(|| Ok(Vec::new()), |list| list.split(',').map(pair).collect())
 }
 
 /// Lists jobs, newest first.
@@ -217,6 +277,8 @@ pub async fn list_jobs(
         created_to: query.datetime.and_then(|interval| interval.to),
         min_duration_s: query.min_duration.map(f64::from),
         max_duration_s: query.max_duration.map(f64::from),
+        labels: labels(query.label.as_deref())?,
+        parent: query.parent,
         before: query.cursor,
     };
     let mut jobs = state.store.jobs(&filter, clock::now(), limit + 1).await?;
@@ -235,49 +297,48 @@ pub async fn list_jobs(
     Ok(response)
 }
 
-/// How a job is.
+/// How a job is. With `Prefer: wait=N` the answer comes when the job has changed (since the `ETag` in `If-None-Match`,
+/// where there is one; else when it has ended), or after N seconds.
 #[utoipa::path(get, path = "/v1/jobs/{jobID}", operation_id = "get_job", tag = "jobs", params(JobPath),
     responses((status = 200, description = "Its status document.", body = StatusInfo)))]
 pub async fn get_job(
     State(state): State<AppState>,
     Path(path): Path<JobPath>,
     conditions: Conditions,
+    wait: Wait,
 ) -> ApiResult<Response> {
-    let job = find(&state, path.job_id).await?;
-    let ended = job.status.ended();
-    let mut response = respond::resource(&conditions, &StatusInfo::from(job))?;
-    if !ended {
-        response.headers_mut().insert("retry-after", axum::http::HeaderValue::from_static("1"));
+    let mut changes = state.desk.changes();
+    let deadline = tokio::time::Instant::now() + wait.0;
+    let closed = state.desk.closed();
+    loop {
+        let job = find(&state, path.job_id).await?;
+        let ended = job.status.ended();
+        let mut response = respond::resource(&conditions, &StatusInfo::from(job))?;
+        let unchanged = response.status() == axum::http::StatusCode::NOT_MODIFIED;
+        let enough = if conditions.asks_for_news() { !unchanged } else { ended };
+        if enough || ended || closed.is_cancelled() || tokio::time::Instant::now() >= deadline {
+            if !ended {
+                response.headers_mut().insert("retry-after", HeaderValue::from_static("1"));
+            }
+            wait.applied(&mut response);
+            return Ok(response);
+        }
+        tokio::select! {
+            () = news_of(path.job_id, &mut changes) => {}
+            () = closed.cancelled() => {}
+            () = tokio::time::sleep_until(deadline) => {}
+        }
     }
-    Ok(response)
 }
 
-/// What a job gave. Before its end that is 404 of the type `result-not-ready`; of a failed job it is why it failed.
-#[utoipa::path(get, path = "/v1/jobs/{jobID}/results", operation_id = "get_job_results", tag = "jobs", params(JobPath),
-    responses((status = 200, description = "All outputs in one document.", body = Object)))]
-pub async fn get_results(
-    State(state): State<AppState>,
-    Path(path): Path<JobPath>,
-    conditions: Conditions,
-) -> ApiResult<Response> {
-    let job = find(&state, path.job_id).await?;
-    match job.status {
-        Status::Successful => {
-            let results: Value = state
-                .store
-                .job_results(job.id)
-                .await?
-                .ok_or_else(|| Problem::internal(format!("job {} is successful without results", job.id)))?;
-            respond::resource(&conditions, &results)
-        }
-        Status::Accepted | Status::Running => {
-            Err(Problem::new(Code::ResultNotReady, format!("job {} is {}", job.id, job.status.name())).into())
-        }
-        Status::Dismissed => Err(Problem::new(Code::JobDismissed, format!("job {} was dismissed", job.id)).into()),
-        Status::Failed => {
-            let exception = job.exception.unwrap_or(Exception { code: String::new(), detail: "no reason is known".into() });
-            let code = Code::from_slug(&exception.code).unwrap_or(Code::JobFailed);
-            Err(Problem::new(code, exception.detail).into())
+/// Waits until a job may have changed.
+pub async fn news_of(id: Uuid, changes: &mut broadcast::Receiver<Uuid>) {
+    loop {
+        match changes.recv().await {
+            Ok(changed) if changed != id => {}
+            // a listener that missed some must look for itself
+            Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => return,
+            Err(broadcast::error::RecvError::Closed) => std::future::pending().await,
         }
     }
 }
@@ -287,21 +348,20 @@ pub async fn get_results(
     responses((status = 200, description = "Its last status document.", body = StatusInfo)))]
 pub async fn dismiss_job(State(state): State<AppState>, Path(path): Path<JobPath>) -> ApiResult<Response> {
     let job = find(&state, path.job_id).await?;
-    match state.jobs.dismiss(job.id).await {
-        Ok(()) => {
-            let job = find(&state, path.job_id).await?;
-            Ok(Json(StatusInfo::from(job)).into_response())
-        }
-        Err(StoreError::Transition(_)) => match state.store.remove_job(job.id).await {
+    match state.desk.dismiss(job.id).await {
+        Ok(()) => Ok(Json(StatusInfo::from(find(&state, path.job_id).await?)).into_response()),
+        Err(StoreError::Transition(_)) => match state.desk.remove(job.id).await {
             Ok(()) => Ok(Json(StatusInfo::from(job)).into_response()),
-            Err(StoreError::Missing) => {
-                Err(Problem::new(Code::NoSuchJob, format!("job {} was removed meanwhile", job.id)).into())
-            }
+            Err(StoreError::Missing) => Err(gone(job.id).into()),
             Err(error) => Err(error.into()),
         },
-        Err(StoreError::Missing) => Err(Problem::new(Code::NoSuchJob, format!("there is no job {}", job.id)).into()),
+        Err(StoreError::Missing) => Err(gone(job.id).into()),
         Err(error) => Err(error.into()),
     }
+}
+
+fn gone(id: Uuid) -> Problem {
+    Problem::new(Code::NoSuchJob, format!("job {id} was removed meanwhile"))
 }
 
 #[cfg(test)]

@@ -8,6 +8,8 @@ mod feature_sets;
 mod forecasts;
 mod health;
 mod imports;
+mod job_history;
+mod job_results;
 mod jobs;
 mod landing;
 mod models;
@@ -23,15 +25,15 @@ use std::sync::Arc;
 
 pub use router::{document, router};
 
-use crate::{config::Config, domain::problem::{Code, Problem}, jobs::Jobs, store::Store};
+use crate::{config::Config, domain::problem::{Code, Problem}, jobs::Desk, store::Store};
 
 /// What every handler may use.
 #[derive(Clone)]
 pub struct AppState {
     /// Observations, models and jobs.
     pub store: Store,
-    /// The job runner.
-    pub jobs: Jobs,
+    /// Where jobs are accepted and looked after.
+    pub desk: Desk,
     /// The settings in force.
     pub config: Arc<Config>,
     /// Cancelled once the service takes no new work.

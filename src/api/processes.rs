@@ -7,20 +7,27 @@ use axum::{
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
 use utoipa::{IntoParams, ToSchema};
+use uuid::Uuid;
 
 use super::{
     AppState,
     auth::Caller,
-    extract::{Conditions, JsonBody, Path},
-    jobs::StatusInfo,
+    extract::{Body, Conditions, Path, Wait, parse_json, respond_async},
+    jobs::{StatusInfo, news_of},
     landing::Link,
     problem::ApiResult,
     respond,
 };
 use crate::{
-    domain::problem::{Code, Problem},
-    jobs::processes::Process,
+    domain::{
+        job::{Job, Labels, Priority},
+        problem::{Code, Problem},
+        schema,
+    },
+    jobs::{Submission, Submitted, processes::Process},
+    store::jobs::{Answer, Reservation},
 };
 
 /// Which process.
@@ -49,7 +56,7 @@ pub struct ProcessSummary {
     /// How it can be executed.
     job_control_options: [&'static str; 2],
     /// How its outputs can be had.
-    output_transmission: [&'static str; 1],
+    output_transmission: [&'static str; 2],
     /// Where to go from here.
     links: Vec<Link>,
 }
@@ -93,6 +100,14 @@ pub struct Execute {
     #[schema(value_type = Option<Object>)]
     #[expect(dead_code, reason = "a member that every client of the standard may send")]
     outputs: Option<serde_json::Map<String, Value>>,
+    /// Names and values to find the job again: at most 20, names of 1 to 64 characters, values of at most 256.
+    #[serde(default)]
+    #[schema(value_type = Option<std::collections::BTreeMap<String, String>>)]
+    labels: Option<Labels>,
+    /// How urgent it is, 0 (last) to 9 (first).
+    #[serde(default)]
+    #[schema(value_type = Option<u8>, minimum = 0, maximum = 9, default = 5)]
+    priority: Option<Priority>,
     /// `document`: the only form of results that is served.
     #[serde(default)]
     #[expect(dead_code, reason = "a member that every client of the standard may send")]
@@ -123,7 +138,7 @@ fn summary(process: Process) -> ProcessSummary {
         description: description.description,
         version: env!("CARGO_PKG_VERSION"),
         job_control_options: ["async-execute", "dismiss"],
-        output_transmission: ["value"],
+        output_transmission: ["value", "reference"],
         links: vec![
             Link::json(at.clone(), "self", "the process description"),
             Link::json(format!("{at}/execution"), "http://www.opengis.net/def/rel/ogc/1.0/execute", "execute it"),
@@ -156,30 +171,122 @@ pub async fn get_process(Path(path): Path<ProcessPath>, conditions: Conditions) 
 }
 
 /// Executes a process as a job. The inputs are checked in full first: where they are at fault, there is no job.
+///
+/// * `Idempotency-Key`: a request that is sent twice with the same key makes one job and has the same answer; with
+///   another body it is 422, while the first is being accepted 409. A key is remembered for 24 hours.
+/// * The same inputs on the same data and version were computed before: the answer is that job, `reused` is true, unless
+///   `Cache-Control: no-cache` is sent. `echo` is always computed anew.
+/// * `Prefer: wait=N`: the answer comes when the job has ended, or after N seconds (at most 30).
 #[utoipa::path(post, path = "/v1/processes/{processID}/execution", operation_id = "execute_process", tag = "processes",
-    params(ProcessPath),
+    params(ProcessPath, ("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible ASCII characters")),
     request_body(content = Execute, example = json!({"inputs": {"station": "lochaber", "label": "observed", "lead": 0}})),
-    responses((status = 201, description = "The job is accepted; `Location` is its status document.", body = StatusInfo,
+    responses((status = 201, description = "The job; `Location` is its status document.", body = StatusInfo,
                headers(("Location" = String, description = "The status document of the job."),
-                       ("Preference-Applied" = String, description = "`respond-async` where it was asked for.")))))]
+                       ("Preference-Applied" = String, description = "What of `Prefer` was heard.")))))]
 pub async fn execute_process(
     State(state): State<AppState>,
     Path(path): Path<ProcessPath>,
     caller: Caller,
+    wait: Wait,
     headers: HeaderMap,
-    JsonBody(request): JsonBody<Execute>,
+    Body(bytes): Body,
 ) -> ApiResult<Response> {
     let process = find(&path.process_id)?;
-    let inputs = request.inputs.map_or_else(|| json!({}), Value::Object);
-    let job = state.jobs.submit(process, &inputs, caller.name).await?;
-    let location = format!("/v1/jobs/{}", job.id);
-    let mut response = (StatusCode::CREATED, axum::Json(StatusInfo::from(job))).into_response();
+    let request: Execute = parse_json(&headers, &bytes)?;
+    let labels = request.labels.unwrap_or_default();
+    check_labels(&labels)?;
+    let submission = Submission {
+        process,
+        inputs: request.inputs.map_or_else(|| json!({}), Value::Object),
+        labels,
+        priority: request.priority.unwrap_or_default(),
+        reservation: reservation(&headers, caller.name.as_deref(), process, &bytes)?,
+        submitted_by: caller.name,
+        anew: wants_anew(&headers),
+    };
+    let (location, body) = match state.desk.submit(submission, answer).await? {
+        Submitted::New(answer) | Submitted::Repeated(answer) => (answer.location, answer.body),
+        Submitted::Reused(job) => (location(&job), json!(StatusInfo::reused(job))),
+    };
+    let mut response = (StatusCode::CREATED, axum::Json(&body)).into_response();
+    if !wait.0.is_zero()
+        && let Some(id) = body["jobID"].as_str().and_then(|id| id.parse().ok())
+        && let Some(job) = wait_for_end(&state, id, wait).await?
+    {
+        let reused = body["reused"].as_bool().unwrap_or(false);
+        let info = if reused { StatusInfo::reused(job) } else { StatusInfo::from(job) };
+        response = (StatusCode::CREATED, axum::Json(info)).into_response();
+        wait.applied(&mut response);
+    } else if respond_async(&headers) {
+        response.headers_mut().insert("preference-applied", HeaderValue::from_static("respond-async"));
+    }
     if let Ok(location) = HeaderValue::from_str(&location) {
         response.headers_mut().insert(header::LOCATION, location);
     }
-    let prefers = headers.get_all("prefer").iter().filter_map(|value| value.to_str().ok());
-    if prefers.flat_map(|value| value.split(',')).any(|value| value.trim().eq_ignore_ascii_case("respond-async")) {
-        response.headers_mut().insert("preference-applied", HeaderValue::from_static("respond-async"));
-    }
     Ok(response)
+}
+
+fn location(job: &Job) -> String {
+    format!("/v1/jobs/{}", job.id)
+}
+
+fn answer(job: &Job) -> Answer {
+    Answer { location: location(job), body: json!(StatusInfo::from(job.clone())) }
+}
+
+/// Waits until a job has ended or the time is over; none where it was removed meanwhile.
+async fn wait_for_end(state: &AppState, id: Uuid, wait: Wait) -> ApiResult<Option<Job>> {
+    let mut changes = state.desk.changes();
+    let deadline = tokio::time::Instant::now() + wait.0;
+    let closed = state.desk.closed();
+    loop {
+        let job = state.store.job(id).await?;
+        let over = closed.is_cancelled() || tokio::time::Instant::now() >= deadline;
+        if over || job.as_ref().is_none_or(|job| job.status.ended()) {
+            return Ok(job);
+        }
+        tokio::select! {
+            () = news_of(id, &mut changes) => {}
+            () = closed.cancelled() => {}
+            () = tokio::time::sleep_until(deadline) => {}
+        }
+    }
+}
+
+fn wants_anew(headers: &HeaderMap) -> bool {
+    let values = headers.get_all(header::CACHE_CONTROL).iter().filter_map(|value| value.to_str().ok());
+    values.flat_map(|value| value.split(',')).any(|value| value.trim().eq_ignore_ascii_case("no-cache"))
+}
+
+fn check_labels(labels: &Labels) -> Result<(), Problem> {
+    let good = |name: &str, value: &str| (1..=64).contains(&name.chars().count()) && value.chars().count() <= 256;
+    let rule = "must be at most 20 labels, names of 1 to 64 characters without : and , and values of at most 256";
+    let bad = labels.iter().find(|(name, value)| !good(name, value) || name.contains([':', ',']) || value.contains(','));
+    match bad {
+        Some((name, _)) => {
+            let pointer = format!("/labels/{}", schema::escape(name));
+            Err(Problem::field(Code::InvalidBody, pointer, "invalid_value", rule))
+        }
+        None if labels.len() > 20 => Err(Problem::field(Code::InvalidBody, "/labels", "invalid_value", rule)),
+        None => Ok(()),
+    }
+}
+
+fn reservation(
+    headers: &HeaderMap,
+    caller: Option<&str>,
+    process: Process,
+    body: &[u8],
+) -> Result<Option<Reservation>, Problem> {
+    let Some(key) = headers.get("idempotency-key") else { return Ok(None) };
+    let key = key.to_str().ok().filter(|key| (1..=255).contains(&key.len()) && key.bytes().all(|b| b.is_ascii_graphic()));
+    let key = key.ok_or_else(|| {
+        Problem::new(Code::InvalidHeader, "Idempotency-Key must be 1 to 255 visible ASCII characters without spaces")
+    })?;
+    let mut hasher = Sha256::new();
+    hasher.update(process.id());
+    hasher.update([0]);
+    hasher.update(body);
+    let request_hash = hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    Ok(Some(Reservation { caller: caller.unwrap_or_default().to_owned(), key: key.to_owned(), request_hash }))
 }

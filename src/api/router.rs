@@ -22,7 +22,7 @@ use utoipa::OpenApi;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    AppState, auth, avalanches, docs, feature_sets, forecasts, health, imports, jobs, landing, models, observations,
+    AppState, auth, avalanches, docs, feature_sets, forecasts, health, imports, job_history, job_results, jobs, landing, models, observations,
     openapi,
     problem::{ApiError, REQUEST_ID, from_panic},
     processes, stations,
@@ -53,7 +53,12 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(processes::execute_process))
         .routes(routes!(jobs::list_jobs))
         .routes(routes!(jobs::get_job, jobs::dismiss_job))
-        .routes(routes!(jobs::get_results))
+        .routes(routes!(job_results::get_results))
+        .routes(routes!(job_results::get_output))
+        .routes(routes!(job_history::stream_events))
+        .routes(routes!(job_history::get_log))
+        .routes(routes!(job_history::get_inputs))
+        .routes(routes!(job_history::get_provenance))
         // stations and their days
         .routes(routes!(stations::list_stations))
         .routes(routes!(stations::get_station, stations::put_station))

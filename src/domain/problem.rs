@@ -71,11 +71,16 @@ codes! {
     MethodNotAllowed "method-not-allowed" 405 "The method is not allowed here" "The address exists but not with this method. The `Allow` header lists the methods.";
     NotAcceptable "not-acceptable" 406 "None of the accepted formats can be served" "The `Accept` header names no format that this address serves. The detail lists them.";
     RequestTimeout "request-timeout" 408 "The request took too long" "The request was not complete, or not answered, in time. Send it again, in smaller parts if it is large.";
+    RequestAtWork "request-at-work" 409 "The same request is being worked on" "A request with the same `Idempotency-Key` has not been answered yet. Repeat it in a moment: the answer will be the same.";
+    KeyReused "idempotency-key-reused" 422 "The idempotency key belongs to another request" "The `Idempotency-Key` was sent before with another body or address. Use a new key for a new request; a key is remembered for 24 hours.";
+    RangeNotSatisfiable "range-not-satisfiable" 416 "The range lies outside of the output" "`Range` begins beyond the end. The `Content-Range` header has the length.";
+    UnknownOutput "unknown-output" 404 "The job has no such output" "The results document lists the outputs.";
     PreconditionFailed "precondition-failed" 412 "The resource is not the one you saw" "`If-Match` or `If-None-Match` does not hold: somebody changed the resource. Read it again and repeat with its new ETag.";
     PayloadTooLarge "payload-too-large" 413 "The body is too large" "The body exceeds the limit in the detail. Send it in several parts.";
     UnsupportedMediaType "unsupported-media-type" 415 "The content type is not supported" "The detail lists the content types that this call accepts.";
     ModelMismatch "model-mismatch" 422 "The model does not fit the station" "The model was trained for another station or lead. Name one of this station and lead.";
     Interrupted "interrupted" 500 "The job was interrupted" "The service ended while the job was running. Submit it again.";
+    CrashedRepeatedly "crashed-repeatedly" 500 "The job took its worker down" "Several attempts in a row ended without a word. The job is not tried again.";
     JobFailed "job-failed" 500 "The job failed" "The computation ended with an error, which the detail names.";
     Internal "internal" 500 "The service failed" "Something broke that the caller cannot mend. Report the `traceId` to the operator, who finds the cause in the log.";
     Overloaded "overloaded" 503 "The service is too busy" "Too many requests or jobs are waiting. Wait for the time in `Retry-After` and try again.";

@@ -87,6 +87,9 @@ impl Control {
 
 impl Progress for Control {
     fn report(&self, fraction: f64, phase: &str) {
+        if !fraction.is_finite() {
+            return;
+        }
         let mut state = self.state();
         let fraction = fraction.clamp(0.0, 1.0);
         let first = *state.first_fraction.get_or_insert(fraction);
@@ -149,9 +152,9 @@ mod tests {
         Progress::report(&control, 0.5, "a");
         Progress::report(&control, 0.2, "b");
         assert_eq!(control.report().percent, 50);
-        Progress::report(&control, 7.0, "b");
-        assert_eq!(control.report().percent, 99);
         Progress::report(&control, f64::NAN, "b");
+        assert_eq!(control.report().percent, 50);
+        Progress::report(&control, 7.0, "b");
         assert_eq!(control.report().percent, 99);
     }
 

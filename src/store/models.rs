@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use sqlx::{FromRow, Row, Sqlite, Transaction, sqlite::SqliteRow};
 use uuid::Uuid;
 
-use super::{Result, Store, StoreError, from_json, jobs, jobs::Outcome, parse_timestamp, to_json};
+use super::{Result, Store, StoreError, from_json, parse_timestamp, to_json};
 use crate::domain::ids::StationId;
 
 /// A model without its machine and evaluation, which are large and read by themselves.
@@ -109,45 +109,33 @@ async fn insert_activation(
 
 const ACTIVE: &str = "SELECT * FROM activation WHERE station = ? AND lead = ? ORDER BY sequence DESC LIMIT 1";
 
-impl Store {
-    /// Keeps a trained model and ends its job in one transaction; makes it active where its station has none of that
-    /// lead, and says whether it did.
-    ///
-    /// # Errors
-    /// [`StoreError::Transition`] where the job has ended meanwhile (dismissed): then nothing is kept.
-    pub async fn insert_model(
-        &self,
-        model: &NewModel,
-        results: impl FnOnce(bool) -> serde_json::Value,
-        now: Timestamp,
-    ) -> Result<bool> {
-        let record = &model.record;
-        let mut tx = self.begin().await?;
-        sqlx::query(
-            "INSERT INTO model (id, station, job, lead, summary, machine, evaluation, created)
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-        )
-        .bind(record.id.to_string())
-        .bind(record.station.as_str())
-        .bind(record.job.to_string())
-        .bind(record.lead)
-        .bind(to_json(&record.summary)?)
-        .bind(&model.machine)
-        .bind(&model.evaluation)
-        .bind(record.created.to_string())
-        .execute(&mut *tx)
-        .await?;
-        let active: Option<ActivationRow> =
-            sqlx::query_as(ACTIVE).bind(record.station.as_str()).bind(record.lead).fetch_optional(&mut *tx).await?;
-        let first = active.is_none();
-        if first {
-            insert_activation(&mut tx, &record.station, record.lead, record.id, None, now).await?;
-        }
-        jobs::finish(&mut tx, record.job, &Outcome::Successful(results(first)), now).await?;
-        tx.commit().await?;
-        Ok(first)
+/// Keeps a trained model; makes it active where its station has none of that lead, and says whether it did.
+pub(super) async fn insert(tx: &mut Transaction<'_, Sqlite>, model: &NewModel, now: Timestamp) -> Result<bool> {
+    let record = &model.record;
+    sqlx::query(
+        "INSERT INTO model (id, station, job, lead, summary, machine, evaluation, created)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(record.id.to_string())
+    .bind(record.station.as_str())
+    .bind(record.job.to_string())
+    .bind(record.lead)
+    .bind(to_json(&record.summary)?)
+    .bind(&model.machine)
+    .bind(&model.evaluation)
+    .bind(record.created.to_string())
+    .execute(&mut **tx)
+    .await?;
+    let active: Option<ActivationRow> =
+        sqlx::query_as(ACTIVE).bind(record.station.as_str()).bind(record.lead).fetch_optional(&mut **tx).await?;
+    if active.is_some() {
+        return Ok(false);
     }
+    insert_activation(tx, &record.station, record.lead, record.id, None, now).await?;
+    Ok(true)
+}
 
+impl Store {
     /// The model of that id.
     ///
     /// # Errors

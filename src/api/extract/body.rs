@@ -98,6 +98,15 @@ where
     }
 }
 
+/// Reads a whole body as `T` where its bytes are needed as well.
+///
+/// # Errors
+/// As [`JsonBody`].
+pub fn parse_json<T: DeserializeOwned + ToSchema + 'static>(headers: &HeaderMap, bytes: &[u8]) -> Result<T, Problem> {
+    media_type(headers, &[MediaType::Json])?;
+    parse(bytes)
+}
+
 /// Reads the bytes as `T`, straight into the type: only a refusal is looked at twice.
 fn parse<T: DeserializeOwned + ToSchema + 'static>(bytes: &[u8]) -> Result<T, Problem> {
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);

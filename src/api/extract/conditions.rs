@@ -61,6 +61,12 @@ impl Conditions {
             && self.if_none_match.as_ref().is_none_or(|tags| !tags.names(current))
     }
 
+    /// Whether the caller of a read wants only what is new.
+    #[must_use]
+    pub const fn asks_for_news(&self) -> bool {
+        self.if_none_match.is_some()
+    }
+
     /// Whether the caller of a read has this version already.
     #[must_use]
     pub fn is_fresh(&self, current: &str) -> bool {

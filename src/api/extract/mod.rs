@@ -3,9 +3,11 @@
 mod body;
 mod conditions;
 mod params;
+mod prefer;
 
-pub use body::{Body, JsonBody, MediaType, json_fault, media_type};
+pub use body::{Body, JsonBody, MediaType, json_fault, media_type, parse_json};
 pub use conditions::{Conditions, etag};
 pub use params::{Path, Query};
+pub use prefer::{Wait, respond_async};
 
 pub use crate::domain::date::Date;

@@ -1,18 +1,27 @@
 //! What can be executed: one file a process, one list of them.
 
+pub mod echo;
 pub mod train_model;
 
+use firn_science::progress::Progress;
+use jiff::Timestamp;
 use serde_json::{Map, Value, json};
+use uuid::Uuid;
 
-use super::runner::{Context, Failure};
+use super::link::Output;
 use crate::{
-    domain::problem::{Code, FieldError, Problem},
-    store::Store,
+    domain::{
+        job::Job,
+        problem::{Code, FieldError, Problem},
+    },
+    store::{Store, models::NewModel},
 };
 
 /// A process that jobs execute.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Process {
+    /// Gives back what it was given.
+    Echo,
     /// Trains and evaluates a model of a station.
     TrainModel,
 }
@@ -45,12 +54,13 @@ pub struct Description {
 
 impl Process {
     /// Every process.
-    pub const ALL: [Self; 1] = [Self::TrainModel];
+    pub const ALL: [Self; 2] = [Self::Echo, Self::TrainModel];
 
     /// Its id in every address.
     #[must_use]
     pub const fn id(self) -> &'static str {
         match self {
+            Self::Echo => echo::ID,
             Self::TrainModel => train_model::ID,
         }
     }
@@ -65,8 +75,15 @@ impl Process {
     #[must_use]
     pub fn description(self) -> Description {
         match self {
+            Self::Echo => echo::description(),
             Self::TrainModel => train_model::description(),
         }
+    }
+
+    /// Whether the same inputs always give the same results, so that they need not be computed twice.
+    #[must_use]
+    pub const fn is_pure(self) -> bool {
+        !matches!(self, Self::Echo)
     }
 
     /// Checks inputs as far as that can be done without computing.
@@ -75,19 +92,54 @@ impl Process {
     /// A [`Problem`] with a pointer to every field at fault.
     pub async fn accept(self, store: &Store, inputs: &Value) -> Result<Accepted, Problem> {
         match self {
+            Self::Echo => echo::accept(inputs),
             Self::TrainModel => train_model::accept(store, inputs).await,
         }
     }
 
-    /// Computes a started job and stores its results.
+    /// Everything that a worker needs to compute a job: it has no store.
     ///
     /// # Errors
-    /// [`Failure`]; the runner ends the job then.
-    pub async fn run(self, context: &Context) -> Result<(), Failure> {
+    /// A [`Problem`] where the job can no longer be computed.
+    pub async fn payload(self, store: &Store, job: &Job) -> Result<Vec<u8>, Problem> {
         match self {
-            Self::TrainModel => train_model::run(context).await,
+            Self::Echo => {
+                let children = store.ended_children(job.id).await.map_err(Problem::internal)?;
+                echo::payload(&job.inputs, children)
+            }
+            Self::TrainModel => train_model::payload(store, job).await,
         }
     }
+
+    /// Computes a job from its payload: a pure function that reports to `progress`.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn compute(self, payload: &[u8], progress: &dyn Progress) -> Result<Output, Failure> {
+        match self {
+            Self::Echo => echo::compute(payload, progress),
+            Self::TrainModel => train_model::compute(payload, progress),
+        }
+    }
+
+    /// What a computation wants kept beside its job, in the form in which the store keeps it.
+    ///
+    /// # Errors
+    /// Where it is not what [`Process::compute`] gives.
+    pub fn kept(job: Uuid, keep: &Value, now: Timestamp) -> Result<NewModel, serde_json::Error> {
+        train_model::kept(job, keep, now)
+    }
+}
+
+/// Why a computation has no result.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// It was asked to end.
+    #[error("cancelled")]
+    Cancelled,
+    /// There is none, and why.
+    #[error("{0}")]
+    Science(String),
 }
 
 impl Description {

@@ -7,23 +7,25 @@ use firn_science::forecast::{
     svm::{Grid, KernelFamily},
     verification::ThresholdRule,
 };
-use jiff::civil::Date;
+use firn_science::progress::Progress;
+use jiff::{Timestamp, civil::Date};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use utoipa::ToSchema;
+use uuid::Uuid;
 
 use super::{Accepted, Description, invalid_inputs};
 use crate::{
-    clock,
     domain::{
         date,
         ids::{StationId, new_id},
+        job::Job,
         problem::{Code, FieldError, Problem},
         schema,
         station::Station,
     },
-    jobs::runner::{Context, Failure},
+    jobs::{link::Output, processes::Failure},
     store::{
         Store,
         models::{ModelRecord, NewModel},
@@ -151,7 +153,12 @@ async fn prepare(store: &Store, inputs: &Inputs) -> Result<Prepared, Problem> {
     let (from, to) = (inputs.from.unwrap_or(ALWAYS.0), inputs.to.unwrap_or(ALWAYS.1));
     let days = store.day_records(&station.id, from, to).await.map_err(Problem::internal)?;
     let reported = station.body.variables.clone().unwrap_or_else(|| appearing(&days));
-    let options = TrainingOptions {
+    let options = options(inputs, reported);
+    Ok(Prepared { station, days, options })
+}
+
+fn options(inputs: &Inputs, reported: Vec<Variable>) -> TrainingOptions {
+    TrainingOptions {
         label: inputs.label,
         lead: inputs.lead,
         feature_set: inputs.feature_set,
@@ -160,8 +167,7 @@ async fn prepare(store: &Store, inputs: &Inputs) -> Result<Prepared, Problem> {
         seed: inputs.seed,
         grid: Grid::default(),
         threshold: inputs.cost_loss_ratio.map_or(ThresholdRule::Peirce, |ratio| ThresholdRule::CostLoss { ratio }),
-    };
-    Ok(Prepared { station, days, options })
+    }
 }
 
 /// The variables that at least one day has.
@@ -193,42 +199,73 @@ fn hash(inputs: &Inputs, station: &Station, days: &[DayRecord]) -> String {
     hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Trains, evaluates and stores the model together with the end of its job.
-pub(super) async fn run(context: &Context) -> Result<(), Failure> {
-    let inputs: Inputs = serde_json::from_value(context.job.inputs.clone()).map_err(science)?;
-    let prepared = prepare(&context.store, &inputs).await.map_err(science)?;
-    let station = prepared.station;
-    // what was promised at acceptance is what the provenance says; days that were edited while the job waited count
-    let input_hash = hash(&inputs, &station, &prepared.days);
-    let (days, options) = (prepared.days, prepared.options);
-    let trained = context.compute(move |progress| model::train(&days, &options, progress)).await?;
-    let trained = trained.map_err(|error| match error {
+/// What a worker gets: it has no store.
+#[derive(Serialize, Deserialize)]
+struct Payload {
+    inputs: Inputs,
+    synthetic: bool,
+    reported: Vec<Variable>,
+    input_hash: String,
+    version: String,
+    days: Vec<DayRecord>,
+}
+
+/// What is kept beside the job.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    station: StationId,
+    lead: u8,
+    summary: Value,
+    machine: Value,
+    evaluation: Value,
+}
+
+/// The days as they are now: what was edited while the job waited counts, and the provenance says so.
+pub(super) async fn payload(store: &Store, job: &Job) -> Result<Vec<u8>, Problem> {
+    let inputs: Inputs = serde_json::from_value(job.inputs.clone()).map_err(Problem::internal)?;
+    let Prepared { station, days, options } = prepare(store, &inputs).await?;
+    let payload = Payload {
+        synthetic: station.synthetic,
+        reported: options.reported,
+        input_hash: hash(&inputs, &station, &days),
+        version: job.version.clone(),
+        inputs,
+        days,
+    };
+    serde_json::to_vec(&payload).map_err(Problem::internal)
+}
+
+/// Trains and evaluates.
+pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output, Failure> {
+    let payload: Payload = serde_json::from_slice(payload).map_err(science)?;
+    let options = options(&payload.inputs, payload.reported);
+    let trained = model::train(&payload.days, &options, progress).map_err(|error| match error {
         TrainingError::Cancelled => Failure::Cancelled,
         error => Failure::Science(error.to_string()),
     })?;
-
-    let provenance = json!({"version": context.job.version, "input_hash": input_hash, "seed": inputs.seed});
-    let now = clock::now();
-    let id = new_id();
+    let inputs = payload.inputs;
+    let provenance = json!({"version": payload.version, "input_hash": payload.input_hash, "seed": inputs.seed});
     let scores = serde_json::to_value(&trained.evaluation.scores.svm).map_err(science)?;
-    let model = NewModel {
-        record: ModelRecord {
-            id,
-            station: station.id.clone(),
-            job: context.job.id,
-            lead: inputs.lead,
-            summary: summary(&trained.model, &station, &provenance, &scores),
-            created: now,
-        },
-        machine: serde_json::to_string(&trained.model).map_err(science)?,
-        evaluation: serde_json::to_string(&trained.evaluation).map_err(science)?,
+    let results = json!({
+        "station": inputs.station, "synthetic": payload.synthetic, "scores": scores, "provenance": provenance,
+    });
+    let kept = Kept {
+        station: inputs.station,
+        lead: inputs.lead,
+        summary: summary(&trained.model, payload.synthetic, &provenance, &scores),
+        machine: serde_json::to_value(&trained.model).map_err(science)?,
+        evaluation: serde_json::to_value(&trained.evaluation).map_err(science)?,
     };
-    let results = |activated: bool| {
-        json!({"model_id": id, "station": station.id, "synthetic": station.synthetic, "activated": activated,
-               "scores": scores, "provenance": provenance})
-    };
-    context.store.insert_model(&model, results, now).await?;
-    Ok(())
+    let keep = serde_json::to_value(&kept).map_err(science)?;
+    Ok(Output { results, keep: Some(keep), ..Output::default() })
+}
+
+/// The model as the registry keeps it.
+pub(super) fn kept(job: Uuid, keep: &Value, now: Timestamp) -> Result<NewModel, serde_json::Error> {
+    let kept: Kept = serde_json::from_value(keep.clone())?;
+    let record =
+        ModelRecord { id: new_id(), station: kept.station, job, lead: kept.lead, summary: kept.summary, created: now };
+    Ok(NewModel { record, machine: kept.machine.to_string(), evaluation: kept.evaluation.to_string() })
 }
 
 fn science(error: impl std::fmt::Display) -> Failure {
@@ -236,10 +273,10 @@ fn science(error: impl std::fmt::Display) -> Failure {
 }
 
 /// What the registry tells of a model without opening it.
-fn summary(model: &TrainedModel, station: &Station, provenance: &Value, scores: &Value) -> Value {
+fn summary(model: &TrainedModel, synthetic: bool, provenance: &Value, scores: &Value) -> Value {
     let window = &model.training;
     json!({
-        "synthetic": station.synthetic,
+        "synthetic": synthetic,
         "training": {
             "label": model.label, "feature_set": model.feature_set, "feature_set_version": model.feature_set_version,
             "features": model.features.len(), "variables": model.reported, "kernel": kernel(model), "c": model.c,

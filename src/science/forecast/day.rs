@@ -154,7 +154,7 @@ impl Label {
 }
 
 /// One calendar day of one station; a missing value is `None`, never 0.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DayRecord {
     /// The station's local calendar day.
     pub date: Date,

@@ -8,7 +8,7 @@ use uuid::Uuid;
 use super::{children, history, outputs, rows::JobRow, step};
 use crate::{
     domain::job::{Event, Exception, Job, Report, Status},
-    store::{Result, Store, StoreError, to_json},
+    store::{Result, Store, StoreError, models, models::NewModel, to_json},
 };
 
 /// What became of the wish to take a job.
@@ -154,6 +154,20 @@ impl Store {
         Ok(Beat::Go)
     }
 
+    /// Whether an attempt still counts, without a write.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn is_attempt_current(&self, id: Uuid, attempt: u32) -> Result<Beat> {
+        let holds: Option<i64> =
+            sqlx::query_scalar("SELECT 1 FROM job WHERE id = ? AND attempt = ? AND status = 'running'")
+                .bind(id.to_string())
+                .bind(attempt)
+                .fetch_optional(&self.reader)
+                .await?;
+        Ok(if holds.is_some() { Beat::Go } else { Beat::Stop })
+    }
+
     /// Saves the state of an attempt; an attempt that saved something was not lost for nothing.
     ///
     /// # Errors
@@ -197,23 +211,19 @@ impl Store {
         Ok(())
     }
 
-    /// Ends an attempt with its outcome; `more` writes what must become true in the same transaction and may complete
-    /// the results.
+    /// Ends an attempt with its outcome, and keeps a model in the same transaction: one is not there without the other.
     ///
     /// # Errors
     /// [`StoreError::Fenced`] where the attempt counts no more: then nothing is written.
-    pub async fn finish_job<F>(
+    pub async fn finish_job(
         &self,
         id: Uuid,
         attempt: u32,
         outcome: Outcome,
+        keep: Option<&NewModel>,
         compute_ms: u64,
         now: Timestamp,
-        more: F,
-    ) -> Result<Ended>
-    where
-        F: AsyncFnOnce(&mut Transaction<'_, Sqlite>, &mut serde_json::Value) -> Result<()>,
-    {
+    ) -> Result<Ended> {
         let mut tx = self.begin().await?;
         fence(&mut tx, id, attempt).await?;
         sqlx::query("UPDATE job SET compute_ms = compute_ms + ?2 WHERE id = ?1")
@@ -225,7 +235,13 @@ impl Store {
             Outcome::Split(jobs) => children::split(&mut tx, id, &jobs, now).await?,
             Outcome::Failed(exception) => fail(&mut tx, id, &exception, now).await?,
             Outcome::Successful { mut results, outputs } => {
-                more(&mut tx, &mut results).await?;
+                if let Some(model) = keep {
+                    let activated = models::insert(&mut tx, model, now).await?;
+                    if let Some(results) = results.as_object_mut() {
+                        results.insert("model_id".into(), serde_json::json!(model.record.id));
+                        results.insert("activated".into(), serde_json::json!(activated));
+                    }
+                }
                 outputs::insert(&mut tx, id, &outputs).await?;
                 succeed(&mut tx, id, &results, now).await?
             }

@@ -1,0 +1,180 @@
+//! `/v1/jobs/{jobID}/results`: what a job gave, small outputs in the document and large ones by reference.
+
+use std::ops::RangeInclusive;
+
+use axum::{
+    extract::State,
+    http::{HeaderMap, HeaderValue, StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use serde::Deserialize;
+use serde_json::Value;
+use utoipa::IntoParams;
+use uuid::Uuid;
+
+use super::{
+    AppState,
+    extract::{Conditions, Path},
+    jobs::{JobPath, find},
+    problem::{ApiError, ApiResult},
+    respond,
+};
+use crate::{
+    domain::{
+        job::{Exception, Job, Status},
+        problem::{Code, Problem},
+    },
+    store::jobs::OutputRecord,
+};
+
+/// Which output of which job.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Path)]
+#[serde(deny_unknown_fields)]
+pub struct OutputPath {
+    /// Id of the job.
+    #[serde(rename = "jobID")]
+    #[param(rename = "jobID")]
+    job_id: Uuid,
+    /// Name of the output.
+    #[param(example = "model_id")]
+    output: String,
+}
+
+/// The results document of a successful job; of any other, why there is none.
+async fn results(state: &AppState, job: &Job) -> ApiResult<Value> {
+    match job.status {
+        Status::Successful => {
+            let results = state.store.job_results(job.id).await?;
+            Ok(results.ok_or_else(|| Problem::internal(format!("job {} is successful without results", job.id)))?)
+        }
+        Status::Accepted | Status::Running => {
+            let detail = format!("job {} is {}", job.id, job.status.name());
+            Err(Problem::new(Code::ResultNotReady, detail).into())
+        }
+        Status::Dismissed => Err(Problem::new(Code::JobDismissed, format!("job {} was dismissed", job.id)).into()),
+        Status::Failed => {
+            let unknown = || Exception { code: String::new(), detail: "no reason is known".into() };
+            let exception = job.exception.clone().unwrap_or_else(unknown);
+            let code = Code::from_slug(&exception.code).unwrap_or(Code::JobFailed);
+            Err(Problem::new(code, exception.detail).into())
+        }
+    }
+}
+
+/// What a job gave. Before its end that is 404 of the type `result-not-ready`; of a failed job it is why it failed.
+#[utoipa::path(get, path = "/v1/jobs/{jobID}/results", operation_id = "get_job_results", tag = "jobs", params(JobPath),
+    responses((status = 200, description = "All outputs in one document.", body = Object)))]
+pub async fn get_results(
+    State(state): State<AppState>,
+    Path(path): Path<JobPath>,
+    conditions: Conditions,
+) -> ApiResult<Response> {
+    let job = find(&state, path.job_id).await?;
+    respond::resource(&conditions, &results(&state, &job).await?)
+}
+
+/// One output of a job: JSON where it stands in the results document, else its bytes, of which `Range` takes a part.
+#[utoipa::path(get, path = "/v1/jobs/{jobID}/results/{output}", operation_id = "get_job_output", tag = "jobs",
+    params(OutputPath, ("Range" = Option<String>, Header, description = "`bytes=first-last`, of an output by reference")),
+    responses((status = 200, description = "The output.", content((Value = "application/json"), (String = "application/octet-stream"))),
+              (status = 206, description = "A part of the output.", content_type = "application/octet-stream", body = String)))]
+pub async fn get_output(
+    State(state): State<AppState>,
+    Path(path): Path<OutputPath>,
+    conditions: Conditions,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let job = find(&state, path.job_id).await?;
+    let results = results(&state, &job).await?;
+    let stored = state.store.job_outputs(job.id).await?.into_iter().find(|output| output.name == path.output);
+    if let Some(output) = stored {
+        return bytes(&state, &conditions, &headers, &output).await;
+    }
+    let value = results.get(&path.output).ok_or_else(|| {
+        let known: Vec<&String> = results.as_object().into_iter().flat_map(|object| object.keys()).collect();
+        Problem::new(Code::UnknownOutput, format!("job {} has no output {:?}; it has {known:?}", job.id, path.output))
+    })?;
+    respond::resource(&conditions, value)
+}
+
+async fn bytes(
+    state: &AppState,
+    conditions: &Conditions,
+    headers: &HeaderMap,
+    output: &OutputRecord,
+) -> ApiResult<Response> {
+    let tag = format!("\"{}\"", output.sha256);
+    if conditions.is_fresh(&tag) {
+        return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
+    }
+    let wanted = wanted_range(headers, &tag, output.size)?;
+    let range = wanted.clone().map_or(0..output.size, |range| *range.start()..range.end() + 1);
+    let body = state.desk.artifacts().get(&output.sha256, range).await.map_err(Problem::internal)?;
+    let mut response = body.into_response();
+    let answer = response.headers_mut();
+    let value = |text: &str| HeaderValue::from_str(text).map_err(Problem::internal);
+    answer.insert(header::CONTENT_TYPE, value(&output.media_type)?);
+    answer.insert(header::ETAG, value(&tag)?);
+    answer.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+    answer.insert("repr-digest", value(&format!("sha-256=:{}:", base64_of_hex(&output.sha256)))?);
+    answer.insert(header::CONTENT_DISPOSITION, HeaderValue::from_static("attachment"));
+    if let Some(range) = wanted {
+        let place = format!("bytes {}-{}/{}", range.start(), range.end(), output.size);
+        answer.insert(header::CONTENT_RANGE, value(&place)?);
+        *response.status_mut() = StatusCode::PARTIAL_CONTENT;
+    }
+    Ok(response)
+}
+
+/// The one range that is asked for; none where all is: without `Range`, with several (which may be ignored, RFC 9110
+/// section 14.2) or where `If-Range` names another version.
+fn wanted_range(headers: &HeaderMap, tag: &str, size: u64) -> Result<Option<RangeInclusive<u64>>, ApiError> {
+    let Some(text) = headers.get(header::RANGE).and_then(|range| range.to_str().ok()) else { return Ok(None) };
+    let other_version = headers.get(header::IF_RANGE).is_some_and(|version| version.as_bytes() != tag.as_bytes());
+    let Ok(parsed) = http_range_header::parse_range_header(text) else { return Ok(None) };
+    if other_version || parsed.ranges.len() != 1 {
+        return Ok(None);
+    }
+    match parsed.validate(size) {
+        Ok(ranges) => Ok(ranges.into_iter().next()),
+        Err(_) => {
+            let detail = format!("the output has {size} bytes; Range must be bytes=first-last within them");
+            Err(Problem::new(Code::RangeNotSatisfiable, detail).with("length", size.into()).into())
+        }
+    }
+}
+
+/// A digest in hex as the base64 that `Repr-Digest` (RFC 9530) wants.
+fn base64_of_hex(hex: &str) -> String {
+    use base64::Engine as _;
+    let bytes: Vec<u8> = (0..hex.len() / 2).filter_map(|at| u8::from_str_radix(hex.get(2 * at..2 * at + 2)?, 16).ok()).collect();
+    base64::engine::general_purpose::STANDARD.encode(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn range(text: &str) -> Result<Option<RangeInclusive<u64>>, u16> {
+        let mut headers = HeaderMap::new();
+        headers.insert(header::RANGE, HeaderValue::from_str(text).unwrap());
+        wanted_range(&headers, "\"a\"", 100).map_err(|error| error.0.code.status())
+    }
+
+    #[test]
+    fn ranges_are_those_of_rfc_9110() {
+        assert_eq!(range("bytes=0-9"), Ok(Some(0..=9)));
+        assert_eq!(range("bytes=90-"), Ok(Some(90..=99)));
+        assert_eq!(range("bytes=-10"), Ok(Some(90..=99)));
+        assert_eq!(range("bytes=90-500"), Ok(Some(90..=99)));
+        assert_eq!(range("bytes=100-"), Err(416));
+        assert_eq!(range("bytes=0-1,5-6"), Ok(None));
+        assert_eq!(range("lines=1-2"), Ok(None));
+    }
+
+    #[test]
+    fn a_digest_is_written_in_base64() {
+        assert_eq!(base64_of_hex("000102ff"), "AAEC/w==");
+    }
+}

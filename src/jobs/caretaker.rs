@@ -1,0 +1,91 @@
+//! Sees to it that nothing is forgotten: issues tickets again that an engine lost, and retires what is old.
+
+use std::time::Duration;
+
+use jiff::{SignedDuration, Timestamp};
+use tokio_util::sync::CancellationToken;
+
+use super::desk::Desk;
+use crate::{
+    clock,
+    store::{StoreError, jobs::Retention},
+};
+
+/// How often lost tickets are looked for.
+const ROUND: Duration = Duration::from_secs(2);
+
+/// A ticket that was issued so recently may still be on its way, s.
+const TICKET_PATIENCE_S: i64 = 15;
+
+/// Tickets that are issued again at once: more would only wait.
+const MOST_TICKETS: u32 = 10_000;
+
+/// Rounds between two looks at what is old: ten minutes.
+const ROUNDS_TO_RETIRE: u32 = 300;
+
+/// How long an idempotency key is remembered, hours.
+const KEY_HOURS: i64 = 24;
+
+/// How long and how much is kept of ended jobs.
+#[derive(Clone, Copy, Debug)]
+pub struct Keep {
+    /// Ended jobs are kept this long, days.
+    pub days: u32,
+    /// Ended jobs are kept as long as they need no more than this, bytes.
+    pub bytes: u64,
+}
+
+/// Takes up what an earlier process left: whoever held a job died with it where the workers are in this process.
+///
+/// # Errors
+/// [`StoreError`] where it cannot be stored.
+pub async fn take_up(desk: &Desk, workers_are_here: bool) -> Result<(), StoreError> {
+    desk.store().forget_keys(Timestamp::MIN, true).await?;
+    if workers_are_here {
+        let orphans = desk.store().end_all_leases().await?;
+        if orphans > 0 {
+            tracing::info!(jobs = orphans, "jobs of an earlier process go on from their last checkpoint");
+        }
+    }
+    issue_again(desk, Timestamp::MAX).await
+}
+
+/// Looks after the jobs until `stop`.
+pub async fn run(desk: Desk, keep: Keep, stop: CancellationToken) {
+    let mut round = 0_u32;
+    loop {
+        tokio::select! {
+            () = stop.cancelled() => return,
+            () = tokio::time::sleep(ROUND) => {}
+        }
+        let patience = SignedDuration::from_secs(TICKET_PATIENCE_S);
+        let before = clock::now().checked_sub(patience).unwrap_or(Timestamp::MIN);
+        if let Err(error) = issue_again(&desk, before).await {
+            tracing::error!(%error, "lost tickets could not be looked for");
+        }
+        if round % ROUNDS_TO_RETIRE == 0
+            && let Err(error) = retire(&desk, keep).await
+        {
+            tracing::error!(%error, "old jobs could not be retired");
+        }
+        round = round.wrapping_add(1);
+    }
+}
+
+async fn issue_again(desk: &Desk, ticketed_before: Timestamp) -> Result<(), StoreError> {
+    let jobs = desk.store().jobs_without_ticket(ticketed_before, clock::now(), MOST_TICKETS).await?;
+    desk.ticket(&jobs).await;
+    Ok(())
+}
+
+async fn retire(desk: &Desk, keep: Keep) -> Result<(), StoreError> {
+    let now = clock::now();
+    let before = |hours: i64| now.checked_sub(SignedDuration::from_hours(hours)).unwrap_or(Timestamp::MIN);
+    let retention = Retention { ended_before: before(24 * i64::from(keep.days)), most_bytes: keep.bytes };
+    let (jobs, digests) = desk.store().retire_jobs(retention).await?;
+    desk.artifacts().remove(&digests).await;
+    if jobs > 0 {
+        tracing::info!(jobs, "old jobs were retired");
+    }
+    desk.store().forget_keys(before(KEY_HOURS), false).await
+}
