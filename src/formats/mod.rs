@@ -4,10 +4,13 @@
 //! cannot be true becomes missing and leaves a [`Flag`]; only an unreadable date or a broken structure refuses a row,
 //! and only a file that cannot be understood as a whole is a [`FormatError`].
 
+mod csv_source;
 pub mod ndjson;
 pub mod observations_csv;
 mod report;
 pub mod sais;
 mod text;
 
-pub use report::{Flag, FlagCode, FormatError, Import, ImportedDay, ImportedRow, MergedRow, RowError, RowErrorCode};
+pub use report::{
+    Flag, FlagCode, FormatError, Import, ImportedDay, ImportedRow, MAX_ROWS, MergedRow, RowError, RowErrorCode,
+};

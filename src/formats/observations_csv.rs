@@ -7,8 +7,9 @@ use std::collections::HashMap;
 
 use jiff::civil::Date;
 
-use super::text::{decode, place};
-use super::{Flag, FlagCode, FormatError, Import, ImportedDay, ImportedRow, RowError, RowErrorCode};
+use super::csv_source::{Lines, Source, check_quotes};
+use super::text::decode;
+use super::{Flag, FlagCode, FormatError, Import, ImportedDay, ImportedRow, MAX_ROWS, RowError, RowErrorCode};
 use crate::domain::observation::{
     AvalancheRecord, AvalancheTrigger, AvalancheType, Contradiction, DatedObservation, activity_from_name,
     activity_name,
@@ -33,12 +34,12 @@ pub fn columns() -> impl Iterator<Item = &'static str> {
 ///
 /// # Errors
 /// [`FormatError`] for a file that is empty, not text, or not CSV, or that has a header without `date`, with an unknown
-/// column or with one column twice.
+/// column or with one column twice, or that has more than [`MAX_ROWS`] rows.
 pub fn read(bytes: &[u8]) -> Result<Import, FormatError> {
     let text = decode(bytes)?;
     check_quotes(&text)?;
     let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(text.as_bytes());
-    let mut lines = Lines { text: &text, at: 0, line: 1 };
+    let mut lines = Lines::of(&text);
     let mut record = csv::StringRecord::new();
     let mut header: Option<Vec<&'static str>> = None;
     let mut seen = HashMap::new();
@@ -46,8 +47,7 @@ pub fn read(bytes: &[u8]) -> Result<Import, FormatError> {
     // the text is UTF-8 in memory and rows may be ragged, so reading cannot fail
     while reader.read_record(&mut record).unwrap_or(false) {
         let start = record.position().map_or(0, csv::Position::byte);
-        let line = lines.line_of(usize::try_from(start).unwrap_or(usize::MAX));
-        let source = Source { line, text: text.get(lines.at..).unwrap_or_default() };
+        let source = lines.source_at(usize::try_from(start).unwrap_or(usize::MAX));
         if record.iter().all(|field| field.trim().is_empty()) {
             continue;
         }
@@ -55,111 +55,18 @@ pub fn read(bytes: &[u8]) -> Result<Import, FormatError> {
             header = Some(read_header(&record, source)?);
             continue;
         };
+        if import.rows.len() == MAX_ROWS {
+            return Err(FormatError::TooManyRows { line: source.line });
+        }
         let (date, outcome) = match read_row(header, &record, source, &mut seen) {
             Ok((date, day)) => (Some(date), Ok(day)),
             Err((date, error)) => (date, Err(error)),
         };
-        import.rows.push(ImportedRow { line, date, outcome });
+        import.rows.push(ImportedRow { line: source.line, date, outcome });
     }
     let header = header.ok_or(FormatError::Empty)?;
     import.not_reported = not_reported(&header, &import.rows);
     Ok(import)
-}
-
-/// Counts lines up to growing places of one text, so that every row can be named by its line.
-struct Lines<'a> {
-    text: &'a str,
-    at: usize,
-    line: u64,
-}
-
-impl Lines<'_> {
-    /// The line of the first character at or after byte `start` that does not end a line.
-    fn line_of(&mut self, start: usize) -> u64 {
-        let rest = self.text.as_bytes().get(self.at..).unwrap_or_default();
-        let ahead = start.saturating_sub(self.at).min(rest.len());
-        let skipped = rest[ahead..].iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count();
-        let passed = &rest[..ahead + skipped];
-        self.line += passed
-            .iter()
-            .enumerate()
-            .filter(|&(at, &byte)| byte == b'\n' || (byte == b'\r' && rest.get(at + 1) != Some(&b'\n')))
-            .count() as u64;
-        self.at += passed.len();
-        self.line
-    }
-}
-
-/// Where a row stands in the file.
-#[derive(Clone, Copy)]
-struct Source<'a> {
-    /// Line in which the row starts.
-    line: u64,
-    /// The file from the row on.
-    text: &'a str,
-}
-
-impl Source<'_> {
-    /// Line and column at which a field starts, counted from 0; the end of the row where it has not as many.
-    fn place_of(self, field: usize) -> (u64, u64) {
-        let (mut quoted, mut before) = (false, field);
-        let starts_or_ends = |(_, byte): &(usize, u8)| {
-            quoted ^= *byte == b'"';
-            before -= usize::from(*byte == b',' && !quoted && before > 0);
-            before == 0 || (!quoted && matches!(*byte, b'\n' | b'\r'))
-        };
-        let at = match field {
-            0 => 0,
-            _ => self
-                .text
-                .bytes()
-                .enumerate()
-                .find(starts_or_ends)
-                .map_or(self.text.len(), |(at, byte)| if byte == b',' { at + 1 } else { at }),
-        };
-        place(self.text, at, self.line)
-    }
-}
-
-/// Quotes as RFC 4180 wants them: a CSV reader that forgives them swallows rows without a word.
-fn check_quotes(text: &str) -> Result<(), FormatError> {
-    let malformed = |at, detail| {
-        let (line, column) = place(text, at, 1);
-        Err(FormatError::Malformed { line, column, detail })
-    };
-    let bytes = text.as_bytes();
-    let mut at = 0;
-    let mut field_starts = true;
-    while at < bytes.len() {
-        if bytes[at] != b'"' {
-            field_starts = matches!(bytes[at], b',' | b'\n' | b'\r');
-            at += 1;
-            continue;
-        }
-        if !field_starts {
-            return malformed(at, "a quote inside a field that is not quoted");
-        }
-        let Some(end) = end_of_quoted(bytes, at + 1) else {
-            return malformed(at, "a quote that is never closed");
-        };
-        if !matches!(bytes.get(end), None | Some(b',' | b'\n' | b'\r')) {
-            return malformed(end, "text after a closing quote");
-        }
-        at = end;
-        field_starts = false;
-    }
-    Ok(())
-}
-
-/// The place after the closing quote of a field whose content starts at `from`.
-fn end_of_quoted(bytes: &[u8], mut from: usize) -> Option<usize> {
-    loop {
-        let quote = from + bytes.get(from..)?.iter().position(|&byte| byte == b'"')?;
-        if bytes.get(quote + 1) != Some(&b'"') {
-            return Some(quote + 1);
-        }
-        from = quote + 2;
-    }
 }
 
 fn read_header(record: &csv::StringRecord, source: Source<'_>) -> Result<Vec<&'static str>, FormatError> {
@@ -483,6 +390,14 @@ mod tests {
         assert_eq!(place("date,cloud_cover\n2007-03-01,\"5\"6\n"), Some((2, 15)));
         assert_eq!(place("date,cloud_cover\n2007-03-01,5\"\n"), Some((2, 13)));
         assert_eq!(place("date,cloud_cover\n\"2007-03-01\",\"5\"\n"), None);
+    }
+
+    #[test]
+    fn files_of_too_many_rows_are_refused() {
+        let text = format!("date\n{}", "x\n".repeat(MAX_ROWS));
+        assert_eq!(rows(&text).len(), MAX_ROWS);
+        let line = MAX_ROWS as u64 + 2;
+        assert_eq!(read(format!("{text}x\n").as_bytes()), Err(FormatError::TooManyRows { line }));
     }
 
     #[test]

@@ -8,6 +8,9 @@ use crate::domain::observation::{AvalancheRecord, Contradiction, Observation};
 use crate::domain::units::{OutOfRange, bounds};
 use crate::science::forecast::day::{Activity, DayRecord, VARIABLES, Variable};
 
+/// Most rows that one file may have: more than a century of days, and little enough to report on each.
+pub const MAX_ROWS: usize = 50_000;
+
 /// Everything found in one file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Import {
@@ -233,6 +236,12 @@ pub enum FormatError {
         /// What is wrong.
         detail: &'static str,
     },
+    /// More rows than [`MAX_ROWS`].
+    #[error("line {line}: more than {MAX_ROWS} rows: send the file in parts")]
+    TooManyRows {
+        /// 1-based line of the first row too many.
+        line: u64,
+    },
     /// A time zone that the time-zone database does not hold.
     #[error("unknown time zone `{zone}`: give a name like Europe/London")]
     UnknownZone {
@@ -247,7 +256,7 @@ impl FormatError {
     pub const fn place(&self) -> Option<(u64, Option<u64>)> {
         match self {
             Self::Empty | Self::UnknownZone { .. } => None,
-            Self::MissingColumn { line, .. } => Some((*line, None)),
+            Self::MissingColumn { line, .. } | Self::TooManyRows { line } => Some((*line, None)),
             Self::NotText { line, column, .. }
             | Self::UnknownColumn { line, column, .. }
             | Self::DuplicateColumn { line, column, .. }

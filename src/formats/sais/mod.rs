@@ -4,12 +4,12 @@
 //! |---|---|
 //! | Date | local day: a time is UTC and is shown in the zone, a date without a time stands as it is |
 //! | Area | rows of one area are read; a blank is the area of the rest |
-//! | Air Temp, Snow Temp | degC by the table of areas and winters in [`regimes`] |
+//! | Air Temp, Snow Temp | degC by the table of areas and winters in `regimes` |
 //! | Wind Speed, Wind Dir | summit wind until the winter of 2006/07, mph to m/s; afterwards they hold the wind at the pit site, so that the Summit Wind columns are read in their place wherever these were filled in |
 //! | Cloud, Drift, Foot Pen, Rain at 900, Insolation, No Settle | as they are |
 //! | Total Snow Depth | snow height, unless it is 0 on every row |
 //! | Snow Index | new-snow index; from the winter of 2007/08 the number of Precip Code, and a Snow Index of 0 is a filler |
-//! | Avalanche Code | activity, count, type and trigger, see [`codes::avalanche`] |
+//! | Avalanche Code | activity, count, type and trigger, see `codes::avalanche` |
 //! | all others | not read; observers' initials, places and comments are never kept or repeated |
 //!
 //! Blank and -9999 are missing, -1 too where a quantity cannot be negative. A 0 of the ordinary columns is a value even
@@ -32,7 +32,7 @@ use self::columns::{Column, Columns};
 use self::days::Reader;
 use self::rows::{Row, Rows};
 use super::text::{decode, place};
-use super::{FormatError, Import, ImportedDay, ImportedRow, RowError, RowErrorCode};
+use super::{FormatError, Import, ImportedDay, ImportedRow, MAX_ROWS, RowError, RowErrorCode};
 
 /// The zone of the service that writes the export.
 pub const DEFAULT_ZONE: &str = "Europe/London";
@@ -44,16 +44,21 @@ pub const DEFAULT_ZONE: &str = "Europe/London";
 /// activity, and a flag.
 ///
 /// # Errors
-/// [`FormatError`] for a file that is empty or not text, for a header without a Date or with a column twice, and for an
-/// unknown zone.
+/// [`FormatError`] for a file that is empty or not text, for a header without a Date or with a column twice, for
+/// more than [`MAX_ROWS`] rows, and for an unknown zone.
 pub fn read(bytes: &[u8], zone: &str, area: Option<&str>) -> Result<Import, FormatError> {
     let zone = TimeZone::get(zone).map_err(|_| FormatError::UnknownZone { zone: zone.chars().take(40).collect() })?;
     let text = decode(bytes)?;
     let mut rows = Rows::of(&text);
     let header = rows.header().ok_or(FormatError::Empty)?;
     let columns = Columns::read(header.text, &header.fields, header.line)?;
-    let profiles: Vec<_> =
-        std::iter::from_fn(|| rows.next(&columns)).map(|row| Profile::read(row, &columns, &zone)).collect();
+    let mut profiles = Vec::new();
+    while let Some(row) = rows.next(&columns) {
+        if profiles.len() == MAX_ROWS {
+            return Err(FormatError::TooManyRows { line: row.line });
+        }
+        profiles.push(Profile::read(row, &columns, &zone));
+    }
     let named = area.map(str::trim).filter(|area| !area.is_empty());
     let first = || profiles.iter().filter(|profile| profile.defect.is_none()).find_map(|profile| profile.area);
     let area = named.or_else(first).map(str::to_owned);

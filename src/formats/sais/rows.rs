@@ -17,7 +17,7 @@ pub(super) struct Field<'a> {
     pub(super) text: &'a str,
 }
 
-/// The fields of a text, and where a quote was opened and not closed.
+/// The fields of a text, and whether a quote was opened and not closed.
 #[derive(Debug, PartialEq)]
 pub(super) struct Split<'a> {
     pub(super) fields: Vec<Field<'a>>,
@@ -40,15 +40,16 @@ const LONGEST_QUOTE: usize = 50;
 /// A line with more fields than this is not a line of a comment, even inside of quotes.
 const LONGEST_LIST: usize = 20;
 
-/// Splits at the commas outside of quotes; a quote that is not closed is an ordinary character.
+/// Splits at the commas outside of quotes; a quote that is not closed is an ordinary character, and so are all behind it.
 pub(super) fn split(text: &str) -> Split<'_> {
     let bytes = text.as_bytes();
-    let (mut fields, mut open, mut at) = (Vec::with_capacity(40), false, 0);
+    let (mut fields, mut open, mut at) = (Vec::new(), false, 0);
     loop {
         let content = at + bytes[at..].iter().take_while(|&&byte| byte == b' ').count();
-        let closing = if bytes.get(content) == Some(&b'"') { Some(closing_quote(bytes, content + 1)) } else { None };
-        open |= closing == Some(None);
-        let (from, to, rest) = match closing.flatten() {
+        let quoted = !open && bytes.get(content) == Some(&b'"');
+        let closing = if quoted { closing_quote(bytes, content + 1) } else { None };
+        open |= quoted && closing.is_none();
+        let (from, to, rest) = match closing {
             Some(quote) => (content + 1, quote, quote),
             None => (at, comma_after(bytes, at), at),
         };
@@ -110,7 +111,7 @@ impl<'a> Rows<'a> {
         let first = self.next;
         (first < self.lines.len()).then(|| {
             self.next += 1;
-            self.row(first, first)
+            self.row(first, first).0
         })
     }
 
@@ -121,9 +122,9 @@ impl<'a> Rows<'a> {
         if first >= self.lines.len() {
             return None;
         }
-        let mut row = self.row(first, first);
+        let (mut row, open) = self.row(first, first);
         let mut last = first;
-        if split(row.text).open {
+        if open {
             last = self.closing_line(first, columns).unwrap_or(first);
         }
         if columns.has(Column::Comments) {
@@ -133,7 +134,7 @@ impl<'a> Rows<'a> {
         }
         self.next = last + 1;
         if last > first {
-            row = self.row(first, last);
+            row = self.row(first, last).0;
         }
         Some(row)
     }
@@ -144,9 +145,11 @@ impl<'a> Rows<'a> {
         }
     }
 
-    fn row(&self, first: usize, last: usize) -> Row<'a> {
+    /// The lines `first` to `last` as one row, and whether a quote stays open in them.
+    fn row(&self, first: usize, last: usize) -> (Row<'a>, bool) {
         let text = &self.text[self.lines[first].0..self.lines[last].1];
-        Row { line: first as u64 + 1, text, fields: split(text).fields }
+        let Split { fields, open } = split(text);
+        (Row { line: first as u64 + 1, text, fields }, open)
     }
 
     fn line(&self, at: usize) -> Option<&'a str> {
@@ -240,6 +243,22 @@ mod tests {
         let body =
             "05/01/2004,Lochaber,-3,90,\"deep \"stuff, see\n04/01/2004,Lochaber,1,5,\"calm\",\n2004-01-03,L,1,5,";
         assert_eq!(rows(body), dated(&[(2, "05/01/2004"), (3, "04/01/2004"), (4, "2004-01-03")]));
+    }
+
+    #[test]
+    fn a_row_with_an_unreadable_date_is_not_swallowed_either_in_a_wide_file() {
+        let names: Vec<_> = (0..30).map(|column| format!("C{column}")).collect();
+        let wide = format!(
+            "Date,{},Comments\n05/01/2004{},\"open\nyesterday{},\"calm\"",
+            names.join(","),
+            ",1".repeat(30),
+            ",1".repeat(30)
+        );
+        let mut rows = Rows::of(&wide);
+        let header = rows.header().unwrap();
+        let columns = Columns::read(header.text, &header.fields, header.line).unwrap();
+        let lines: Vec<_> = std::iter::from_fn(|| rows.next(&columns)).map(|row| row.line).collect();
+        assert_eq!(lines, [2, 3]);
     }
 
     #[test]

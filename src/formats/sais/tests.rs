@@ -387,5 +387,7 @@ fn what_is_no_export_is_refused_as_a_whole() {
     assert!(matches!(read(b"a,b\n1,2\n", DEFAULT_ZONE, None), Err(FormatError::MissingColumn { line: 1, .. })));
     assert!(matches!(read(b"Date\n", "Europe/Lochaber", None), Err(FormatError::UnknownZone { .. })));
     assert!(matches!(read(b"PK\x03\x04", DEFAULT_ZONE, None), Err(FormatError::NotText { .. })));
+    let many = format!("Date,Area\n{}", "2004-01-05,L\n".repeat(MAX_ROWS + 1));
+    assert_eq!(read(many.as_bytes(), DEFAULT_ZONE, None), Err(FormatError::TooManyRows { line: MAX_ROWS as u64 + 2 }));
     assert_eq!(read(b"Date,Area\n", DEFAULT_ZONE, None).unwrap().rows, []);
 }
