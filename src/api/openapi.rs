@@ -5,7 +5,8 @@ use std::sync::LazyLock;
 use utoipa::{
     Modify, OpenApi, ToSchema,
     openapi::{
-        Components, ContentBuilder, HeaderBuilder, Ref, RefOr, Required, Response, ResponseBuilder, SecurityRequirement,
+        Components, ContentBuilder, HeaderBuilder, Ref, RefOr, Required, Response, ResponseBuilder,
+        SecurityRequirement,
         path::{Operation, ParameterBuilder, ParameterIn},
         schema::{ObjectBuilder, Type},
         security::{HttpAuthScheme, HttpBuilder, SecurityScheme},
@@ -79,10 +80,8 @@ fn complete(document: &mut utoipa::openapi::OpenApi) {
         for operation in operations.into_iter().flatten() {
             refusals(operation);
             if path.starts_with("/v1") {
-                operation.security = Some(vec![
-                    SecurityRequirement::new("key", Vec::<String>::new()),
-                    SecurityRequirement::default(),
-                ]);
+                operation.security =
+                    Some(vec![SecurityRequirement::new("key", Vec::<String>::new()), SecurityRequirement::default()]);
             }
         }
         if !path.starts_with("/v1") {
@@ -92,7 +91,12 @@ fn complete(document: &mut utoipa::openapi::OpenApi) {
             conditional(get);
         }
         if let Some(put) = &mut item.put {
-            header(put, "if-match", ENTITY_TAGS, "Write only over one of these versions (`ETag`); `*`: over any. Else 412.");
+            header(
+                put,
+                "if-match",
+                ENTITY_TAGS,
+                "Write only over one of these versions (`ETag`); `*`: over any. Else 412.",
+            );
             header(put, "if-none-match", ENTITY_TAGS, "`*`: write only what is not there yet. Else 412.");
         }
     }
@@ -126,7 +130,12 @@ fn header(operation: &mut Operation, name: &str, pattern: &str, about: &str) {
 
 /// Reads below `/v1` carry an entity tag and say 304 to whoever has it.
 fn conditional(get: &mut Operation) {
-    header(get, "if-none-match", ENTITY_TAGS, "Versions (`ETag`) that the caller has; where nothing changed the answer is 304.");
+    header(
+        get,
+        "if-none-match",
+        ENTITY_TAGS,
+        "Versions (`ETag`) that the caller has; where nothing changed the answer is 304.",
+    );
     let seen = ResponseBuilder::new().description("Unchanged since the `ETag` in `If-None-Match`.").build();
     get.responses.responses.insert("304".into(), seen.into());
     if let Some(RefOr::T(ok)) = get.responses.responses.get_mut("200") {

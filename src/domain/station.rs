@@ -181,7 +181,8 @@ mod tests {
     fn what_a_name_may_hold_is_what_the_contract_says() {
         let schema = serde_json::to_value(StationName::schema()).unwrap();
         let validator = jsonschema::validator_for(&schema).unwrap();
-        for name in ["Lochaber", "Öræfi", "", "a\nb", "\u{7f}", "\u{85}", "\u{a0}", &"x".repeat(200), &"x".repeat(201)] {
+        for name in ["Lochaber", "Öræfi", "", "a\nb", "\u{7f}", "\u{85}", "\u{a0}", &"x".repeat(200), &"x".repeat(201)]
+        {
             let value = json!(name);
             assert_eq!(body("name", &value).is_ok(), validator.is_valid(&value), "{name:?}");
         }

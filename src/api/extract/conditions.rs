@@ -136,7 +136,10 @@ mod tests {
 
     #[test]
     fn lists_are_read_as_rfc_9110_writes_them() {
-        assert_eq!(listed(r#""a", W/"b","c,d" , "","e""#).unwrap(), [r#""a""#, r#""b""#, r#""c,d""#, r#""""#, r#""e""#]);
+        assert_eq!(
+            listed(r#""a", W/"b","c,d" , "","e""#).unwrap(),
+            [r#""a""#, r#""b""#, r#""c,d""#, r#""""#, r#""e""#]
+        );
         for bad in ["", "a", "\"", "\"a", "\"a\"b\"", "\"a\" \"b\"", "\"a\",", "w/\"a\"", "*, \"a\""] {
             assert!(listed(bad).is_none(), "{bad}");
         }
