@@ -39,6 +39,7 @@ const OWN: &[(&str, &[u8])] = files![
     "index.html",
     "station.html",
     "docs.html",
+    "base.css",
     "firn.css",
     "docs.css",
     "icon.svg",

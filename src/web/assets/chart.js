@@ -3,13 +3,14 @@
 import { s } from './dom.js';
 import { ACTIVITIES, dayMonth, dayNumber, dayOf, month } from './text.js';
 
+/** Room beside the days: for the values on the left, and a little on the right. */
 export const MARGIN = { left: 40, right: 10 };
 
 /** The days of a season on the width of a chart: `x` is the middle of a day, `step` its width. */
-export function dayScale(first, last, width) {
+export function dayScale(first, last, width, right = MARGIN.right) {
   const from = dayNumber(first);
   const days = Math.max(1, dayNumber(last) - from + 1);
-  const step = (width - MARGIN.left - MARGIN.right) / days;
+  const step = (width - MARGIN.left - right) / days;
   return {
     from, days, step, first, last,
     x: (date) => MARGIN.left + (dayNumber(date) - from + 0.5) * step,
@@ -28,9 +29,9 @@ export function months(scale, top, bottom) {
     marks.push(s('line', { class: 'grid', x1: x, x2: x, y1: top, y2: bottom }),
       s('text', { class: 'tick', x: x + 3, y: bottom + 12 }, name));
   }
-  const begin = scale.x(scale.first) - scale.step / 2;
-  const monthBegins = dayOf(scale.from).endsWith('-01');
-  if (!monthBegins && Number(scale.first.slice(8)) < 22) marks.push(s('text', { class: 'tick', x: begin, y: bottom + 12 }, dayMonth(scale.first)));
+  // the first day is named where the name of the next month leaves room for it
+  const rest = 32 - Number(scale.first.slice(8));
+  if (!scale.first.endsWith('-01') && rest * scale.step > 46) marks.push(s('text', { class: 'tick', x: MARGIN.left, y: bottom + 12 }, dayMonth(scale.first)));
   return marks;
 }
 

@@ -20,3 +20,9 @@ window.SwaggerUIBundle({
   requestInterceptor: send,
 });
 showKey();
+
+// the reader has a dark sheet of its own, behind a class
+const dark = matchMedia('(prefers-color-scheme: dark)');
+const follow = () => document.documentElement.classList.toggle('dark-mode', dark.matches);
+dark.addEventListener('change', follow);
+follow();

@@ -34,12 +34,25 @@ export function basis(forecast) {
     : `${LEADS[forecast.lead] ?? `Lead ${forecast.lead}`}: from observations up to ${shortDay(forecast.base_date)}`;
 }
 
+/** How the end of a feature's name reads; the API has its formula. */
+const ENDS = [
+  [/_t$/, () => ''],
+  [/_t(\d)$/, (days) => `, ${counted(days, 'day')} before`],
+  [/_change(\d)$/, (days) => `, change over ${counted(days, 'day')}`],
+  [/_sum(\d)$/, (days) => `, sum of ${days} days`],
+  [/_mean(\d)$/, (days) => `, mean of ${days} days`],
+  [/_max(\d)$/, (days) => `, largest of ${days} days`],
+  [/_decayed(\d)$/, (days) => `, decayed sum of ${days} days`],
+  [/_season_sum$/, () => ', sum of the season'],
+];
+
 /** The name of a feature such as `foot_penetration_t1` in words. */
 function featureName(name) {
-  const lag = name.match(/^(.*)_t([0-9])$/);
-  if (lag === null) return variableName(name);
-  const days = Number(lag[2]);
-  return days === 0 ? variableName(lag[1]) : `${variableName(lag[1])}, ${counted(days, 'day')} before`;
+  for (const [end, text] of ENDS) {
+    const found = name.match(end);
+    if (found !== null) return variableName(name.slice(0, found.index)) + text(Number(found[1]));
+  }
+  return variableName(name);
 }
 
 function inputs(quality, formulas) {
@@ -48,7 +61,7 @@ function inputs(quality, formulas) {
   const line = (term, names, about) => names.length > 0
     && [h('dt', null, term), h('dd', null, list(names), h('span', { class: 'muted' }, ` (${about})`))];
   const lines = [
-    line('Missing', quality.missing, 'not observed on the base day'),
+    line('Missing', quality.missing, 'not recorded on the newest day that is read'),
     line('Imputed', quality.imputed, 'could not be computed: the training median stands in'),
     line('Out of range', quality.out_of_range, 'never so in training: the model extrapolates'),
   ].filter(Boolean);

@@ -88,7 +88,7 @@ function beginning() {
   const at = location.origin;
   const key = sessionStorage.getItem('firn-key') === null ? '' : ' -H "Authorization: Bearer $FIRN_KEY"';
   const json = "-H 'Content-Type: application/json'";
-  const step = (about, line) => [h('p', null, about), h('pre', { tabindex: '0' }, h('code', null, line))];
+  const step = (about, line) => [h('p', null, about), h('pre', null, h('code', null, line))];
   return [
     step('1. Make the station.', `curl -X PUT ${at}/v1/stations/my-station${key} ${json} -d '{"name": "My station", "timezone": "Europe/London"}'`),
     step('2. Send its days: the CSV of the API, NDJSON, JSON, or with ?format=sais the export of the Scottish service. A model needs at least two winters with avalanche days.',

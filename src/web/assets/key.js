@@ -49,5 +49,5 @@ export function showKey() {
   if (place === null) return;
   if (sessionStorage.getItem(NAME) === null) return show(place);
   const forget = () => { sessionStorage.removeItem(NAME); location.reload(); };
-  show(place, h('button', { type: 'button', class: 'quiet', onclick: forget }, 'Forget the key'));
+  show(place, h('button', { type: 'button', onclick: forget }, 'Forget the key'));
 }

@@ -55,17 +55,16 @@ function verdict(evaluation) {
     ? ` The largest AUC here is that of ${MODELS[ranked[0]].toLowerCase()}, ${number(evaluation.scores[ranked[0]].auc, 3)}.` : '';
   if (difference === null) return `Whether the SVM differs from nearest neighbours cannot be told from these seasons.${best}`;
   const text = `The AUC of the SVM minus that of nearest neighbours (k = 30) is ${signed(difference.estimate, 3)}, `
-    + `${level} % interval ${signed(difference.lower, 3)} … ${signed(difference.upper, 3)} over seasons`;
-  if (difference.lower <= 0 && difference.upper >= 0) return `No real difference: ${lowerFirst(text)}, which contains 0. On these seasons nearest neighbours do as well.${best}`;
-  return `${difference.estimate > 0 ? 'The SVM is better than nearest neighbours' : 'Nearest neighbours are better than the SVM'}: ${lowerFirst(text)}, which does not contain 0.${best}`;
+    + `${level}\u202f% interval ${signed(difference.lower, 3)} … ${signed(difference.upper, 3)} over seasons`;
+  if (difference.lower <= 0 && difference.upper >= 0) return [h('strong', null, 'No real difference. '), `${text}, which contains 0: on these seasons nearest neighbours do as well.${best}`];
+  return [h('strong', null, difference.estimate > 0 ? 'The SVM is better than nearest neighbours. ' : 'Nearest neighbours are better than the SVM. '), `${text}, which does not contain 0.${best}`];
 }
 
-const lowerFirst = (text) => text.slice(0, 1).toLowerCase() + text.slice(1);
-
 function reliabilityChart(evaluation, width) {
-  const size = Math.min(width, 430);
-  const [left, right, top, plot] = [44, 12, 10, size - 56];
-  const counts = 54;
+  const size = Math.min(width, 380);
+  const [left, right, top] = [44, 22, 10];
+  const plot = size - left - right;
+  const counts = 50;
   const bottom = top + plot;
   const height = bottom + 30 + counts + 18;
   const x = (share) => left + share * plot;
@@ -77,7 +76,7 @@ function reliabilityChart(evaluation, width) {
     [0, 0.25, 0.5, 0.75, 1].map((share) => [
       s('line', { class: 'grid', x1: x(0), x2: x(1), y1: y(share), y2: y(share) }), s('line', { class: 'grid', x1: x(share), x2: x(share), y1: y(0), y2: y(1) }),
       s('text', { class: 'tick', x: left - 5, y: y(share) + 4, 'text-anchor': 'end' }, `${share * 100} %`),
-      s('text', { class: 'tick', x: x(share), y: bottom + 13, 'text-anchor': 'middle' }, `${share * 100} %`)]),
+      s('text', { class: 'tick', x: x(share), y: bottom + 15, 'text-anchor': share === 0 ? 'start' : 'middle' }, `${share * 100} %`)]),
     s('line', { class: 'ideal', x1: x(0), y1: y(0), x2: x(1), y2: y(1) }),
     s('line', { class: 'threshold', x1: x(0), x2: x(1), y1: y(evaluation.base_rate), y2: y(evaluation.base_rate) }),
     s('text', { class: 'threshold-text', x: x(1) - 2, y: y(evaluation.base_rate) - 4, 'text-anchor': 'end' }, `base rate ${percent(evaluation.base_rate)}`),
@@ -167,7 +166,7 @@ export function drawModel(place, { model, evaluation, models, active, link }) {
       h('section', { class: 'card' },
         h('h3', null, 'Scores beside simpler methods'),
         h('p', { class: 'verdict-text' }, verdict(evaluation)),
-        h('p', { class: 'muted' }, `Every season left out once: ${counted(evaluation.days, 'day')}, ${counted(evaluation.events, 'avalanche day')} in ${counted(evaluation.seasons, 'season')}. Small: ${Math.round(evaluation.bootstrap.level * 100)} % interval over seasons.`),
+        h('p', { class: 'muted' }, `Every season left out once: ${counted(evaluation.days, 'day')}, ${counted(evaluation.events, 'avalanche day')} in ${counted(evaluation.seasons, 'season')}. In small print: ${percent(evaluation.bootstrap.level)} intervals over seasons.`),
         scores('Scores, every season left out once', evaluation.scores, evaluation.bootstrap),
         chaining(evaluation.forward_chaining)),
       h('div', { class: 'stack' }, reliability(evaluation), seasons(evaluation))),

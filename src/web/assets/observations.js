@@ -18,8 +18,10 @@ function range(variable, values) {
 function shape(variable, scale, points, y) {
   const at = (point) => `${scale.x(point.date).toFixed(1)} ${y(point.value).toFixed(1)}`;
   const width = Math.max(0.8, scale.step - (scale.step > 3 ? 1 : 0.3));
-  if (variable.kind === 'flags') return points.filter((point) => point.value).map((point) => s('rect', { class: 'flag', x: scale.x(point.date) - width / 2, width, y: TOP + 22, height: BOTTOM - TOP - 22 }));
-  if (variable.kind === 'bars') return points.filter((point) => point.value > 0).map((point) => s('rect', { class: 'amount', x: scale.x(point.date) - width / 2, width, y: y(point.value), height: BOTTOM - y(point.value) }));
+  // a value of 0 still leaves a trace: it is no missing value
+  const column = (date, top) => s('rect', { class: 'amount', x: scale.x(date) - width / 2, width, y: top, height: BOTTOM - top });
+  if (variable.kind === 'flags') return points.map((point) => column(point.date, point.value ? TOP + 26 : BOTTOM - 1));
+  if (variable.kind === 'bars') return points.map((point) => column(point.date, Math.min(y(point.value), BOTTOM - 1)));
   if (variable.kind === 'direction') return points.map((point) => s('circle', { class: 'dot', cx: scale.x(point.date), cy: y(point.value), r: 1.7 }));
   return runs(points).map((run) => (run.length === 1
     ? s('circle', { class: 'dot', cx: scale.x(run[0].date), cy: y(run[0].value), r: 1.4 })
@@ -61,7 +63,7 @@ export function drawObservations(place, season, { selected }) {
       : [
         h('p', { class: 'muted' }, `Values of ${dayMonth(selected)} beside the names; shaded: avalanche days; a gap is a missing value.`),
         h('div', { class: 'multiples' }, season.variables.map((name) => h('figure', null,
-          h('figcaption', null, h('span', null, VARIABLES[name].name, VARIABLES[name].kind !== 'flags' && h('span', { class: 'muted' }, ` ${VARIABLES[name].unit}`)),
+          h('figcaption', null, h('span', null, VARIABLES[name].name, h('span', { class: 'muted' }, ` ${VARIABLES[name].about ?? VARIABLES[name].unit}`)),
             h('strong', null, valueText(name, day?.[name]))),
           drawn(h('div', { class: 'figure' }), (width) => draw(name, season, selected, width))))),
       ]);

@@ -11,27 +11,29 @@ const BOTTOM = HEIGHT - 22;
 const y = (share) => BOTTOM - share * (BOTTOM - TOP);
 
 function draw(season, selected, choose, width) {
-  const scale = dayScale(season.first, season.last, width);
+  const right = width > 600 ? 70 : 40;
+  const scale = dayScale(season.first, season.last, width, right);
   const threshold = season.forecasts[0]?.threshold;
   const gap = scale.step > 4 ? 1 : scale.step * 0.2;
   const bars = season.forecasts.map((day) => s('rect', {
     class: `bar ${day.category}`, x: scale.x(day.date) - (scale.step - gap) / 2, width: scale.step - gap,
     y: Math.min(y(day.probability), BOTTOM - 1), height: Math.max(1, BOTTOM - y(day.probability)),
   }, s('title', null, `${shortDay(day.date)}: ${percent(day.probability)}, recorded: ${ACTIVITIES[season.activity.get(day.date)] ?? 'no record'}`)));
-  const marks = [...season.activity].map(([date, activity]) => activityMark(activity, scale.x(date), 20));
+  const marks = [...season.activity].map(([date, activity]) => activityMark(activity, scale.x(date), 20, Math.min(4.4, Math.max(2.2, scale.step * 0.6))));
   const [title, about] = ['season-chart-title', 'season-chart-about'];
   const svg = s('svg', { width, height: HEIGHT, role: 'img', 'aria-labelledby': title, 'aria-describedby': about, class: 'chart choosable' },
     s('title', { id: title }, `Probability of an avalanche day, season ${seasonName(season.year)}`),
     s('desc', { id: about }, summary(season)),
     [0, 0.25, 0.5, 0.75, 1].map((share) => [
-      s('line', { class: 'grid', x1: MARGIN.left, x2: width - MARGIN.right, y1: y(share), y2: y(share) }), tick(`${share * 100} %`, y(share))]),
+      s('line', { class: 'grid', x1: MARGIN.left, x2: width - right, y1: y(share), y2: y(share) }), tick(`${share * 100} %`, y(share))]),
     months(scale, TOP, BOTTOM),
     cursor(scale, selected, 8, BOTTOM),
     bars,
     marks,
     threshold !== undefined && [
-      s('line', { class: 'threshold', x1: MARGIN.left, x2: width - MARGIN.right, y1: y(threshold), y2: y(threshold) }),
-      s('text', { class: 'threshold-text', x: width - MARGIN.right, y: y(threshold) - 4, 'text-anchor': 'end' }, `threshold ${percent(threshold)}`)]);
+      s('line', { class: 'threshold', x1: MARGIN.left, x2: width - right, y1: y(threshold), y2: y(threshold) }),
+      width > 600 && s('text', { class: 'threshold-text', x: width - right + 5, y: y(threshold) - 3 }, 'threshold'),
+      s('text', { class: 'threshold-text', x: width - right + 5, y: y(threshold) + (width > 600 ? 11 : 4) }, percent(threshold))]);
   svg.addEventListener('click', (event) => choose(scale.dateAt(event.clientX - svg.getBoundingClientRect().left)));
   return svg;
 }
@@ -44,8 +46,8 @@ function summary(season) {
   const hits = warned.filter((day) => avalanches(day.date)).length;
   const missed = quiet.filter((day) => avalanches(day.date)).length;
   if (judged.length === 0) return 'No day of this season has both a forecast and a record of avalanches.';
-  return `${counted(judged.length, 'day')} with a forecast and a record: ${counted(hits + missed, 'avalanche day')}, ${hits} of them at or above `
-    + `the threshold and ${missed} below; ${counted(warned.length - hits, 'other day')} at or above it.`;
+  return `${counted(judged.length, 'day')} with a forecast and a record: ${counted(hits + missed, 'avalanche day')} with ${counted(hits, 'hit')} and `
+    + `${counted(missed, 'miss', 'misses')}, and ${counted(warned.length - hits, 'false alarm')}, at the threshold of ${percent(judged[0].threshold)}.`;
 }
 
 const legend = () => h('ul', { class: 'legend' },

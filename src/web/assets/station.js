@@ -92,11 +92,13 @@ async function readSeason(year) {
 
 // What is drawn
 
+const degrees = (value, above, below) => `${number(Math.abs(value), 3)}° ${value < 0 ? below : above}`;
+
 function drawHead() {
   const { station } = page;
   const place = [
     station.altitude_m !== null && `${number(station.altitude_m, 0)} m above sea level`,
-    station.latitude !== null && station.longitude !== null && `${number(station.latitude, 3)}° N, ${number(station.longitude, 3)}° E`,
+    station.latitude !== null && station.longitude !== null && `${degrees(station.latitude, 'N', 'S')}, ${degrees(station.longitude, 'E', 'W')}`,
     station.timezone && `time zone ${station.timezone}`,
   ].filter(Boolean).join(' · ');
   document.title = `firn: ${station.name}`;
@@ -151,7 +153,7 @@ function drawForecast() {
   if (model === null) {
     return show(place, h('h2', null, 'Forecast'), page.training
       ? [h('p', null, 'A model is being trained; the forecast appears here when it is done.'), h('div', { id: 'going-on' })]
-      : [h('p', null, 'No model yet. Train one:'), h('pre', { tabindex: '0' }, h('code', null,
+      : [h('p', null, 'No model yet. Train one:'), h('pre', null, h('code', null,
         `curl -X POST ${location.origin}/v1/processes/train-model/execution -H 'Content-Type: application/json' -d '{"inputs": {"station": "${id}", "label": "observed", "lead": ${page.lead}}}'`))]);
   }
   if (forecast === undefined) {
@@ -167,14 +169,14 @@ async function drawSimilarDays() {
   const day = page.day;
   const forecast = page.season.forecasts.find((one) => one.date === day);
   if (chosenModel() === null || forecast === undefined) return show(place, h('h2', null, 'Similar past days'), h('p', { class: 'muted' }, 'They come with a forecast.'));
-  const answer = await get(ofStation(id, `/forecasts/${day}/similar-days${query({ ...ofModel(), limit: 12 })}`));
-  const observed = new Map(await Promise.all(answer.similar_days.map(async (similar) => {
-    const base = dayOf(dayNumber(similar.date) - page.lead);
+  const answer = await get(ofStation(id, `/forecasts/${day}/similar-days${query({ ...ofModel(), limit: 10 })}`));
+  const observed = new Map(await Promise.all([...answer.similar_days.map((similar) => similar.date), day].map(async (date) => {
+    const base = dayOf(dayNumber(date) - page.lead);
     const { observations } = await get(ofStation(id, `/observations${query({ from: base, to: base })}`));
-    return [similar.date, observations[0]];
+    return [date, observations[0]];
   })));
   // whoever went on to another day meanwhile gets that day's list
-  if (day === page.day) drawSimilar(place, answer, { link, observed, forecast });
+  if (day === page.day) drawSimilar(place, answer, { link, observed, forecast, activity: page.season.activity.get(day) });
 }
 
 function drawDays() {
@@ -239,7 +241,7 @@ function drawEmpty() {
   show(byId('controls'));
   show(byId('similar'));
   show(byId('forecast'), h('h2', null, 'No observations yet'), h('p', null, 'Send the days of the station first:'),
-    h('pre', { tabindex: '0' }, h('code', null, `curl -X POST ${location.origin}${ofStation(id, '/observations')} -H 'Content-Type: text/csv' --data-binary @observations.csv`)));
+    h('pre', null, h('code', null, `curl -X POST ${location.origin}${ofStation(id, '/observations')} -H 'Content-Type: text/csv' --data-binary @observations.csv`)));
 }
 
 /** While there is no model, its training is what there is to see; afterwards a new model or a new day is. */
@@ -275,7 +277,7 @@ async function start() {
     drawHead();
     await load(/^\d{4}-\d{2}-\d{2}$/.test(date ?? '') ? date : null);
   } catch (problem) {
-    ['forecast', 'similar', 'season', 'observations'].forEach((part) => byId(part).remove());
+    ['forecast', 'similar', 'season', 'observations'].forEach((part) => byId(part).classList.add('gone'));
     return show(byId('notice'), problemBox(problem));
   }
   const failed = (problem) => show(byId('notice'), problemBox(problem));

@@ -37,6 +37,7 @@ const format = (options) => {
 };
 export const longDay = format({ weekday: 'long', day: 'numeric', month: 'long', year: 'numeric' });
 export const shortDay = format({ weekday: 'short', day: 'numeric', month: 'short', year: 'numeric' });
+export const plainDay = format({ day: 'numeric', month: 'short', year: 'numeric' });
 export const dayMonth = format({ day: 'numeric', month: 'short' });
 export const month = format({ month: 'short' });
 
@@ -76,17 +77,19 @@ export const VARIABLES = {
   wind_speed: { name: 'Wind speed', unit: 'm/s', digits: 1, kind: 'line', floor: 0 },
   wind_direction: { name: 'Wind from', unit: '°', digits: 0, kind: 'direction', floor: 0, ceiling: 360 },
   new_snow_24h: { name: 'New snow, 24 h', unit: 'cm', digits: 0, kind: 'bars', floor: 0 },
-  new_snow_index: { name: 'New-snow index', unit: 'of 10', digits: 0, kind: 'bars', floor: 0, ceiling: 10 },
+  new_snow_index: { name: 'New-snow index', unit: '', about: '0 to 10', digits: 0, kind: 'bars', floor: 0, ceiling: 10 },
   snow_height: { name: 'Snow height', unit: 'cm', digits: 0, kind: 'line', floor: 0 },
-  cumulative_snow_index: { name: 'Cumulative snow index', unit: 'index', digits: 0, kind: 'line', floor: 0 },
+  cumulative_snow_index: { name: 'Cumulative snow index', unit: '', digits: 0, kind: 'line', floor: 0 },
   precipitation_24h: { name: 'Precipitation, 24 h', unit: 'mm', digits: 1, kind: 'bars', floor: 0 },
   snow_temperature: { name: 'Snow temperature', unit: '°C', digits: 1, kind: 'line', zero: true, ceiling: 0 },
   foot_penetration: { name: 'Foot penetration', unit: 'cm', digits: 0, kind: 'line', floor: 0 },
   cloud_cover: { name: 'Cloud cover', unit: '%', digits: 0, kind: 'line', floor: 0, ceiling: 100 },
-  insolation_index: { name: 'Insolation index', unit: '2–20', digits: 0, kind: 'line', floor: 0, ceiling: 20 },
-  snow_drift: { name: 'Snow drift', unit: 'yes/no', kind: 'flags' },
-  rain_at_900m: { name: 'Rain at 900 m', unit: 'yes/no', kind: 'flags' },
+  insolation_index: { name: 'Insolation index', unit: '', about: '2 to 20', digits: 0, kind: 'line', floor: 0, ceiling: 20 },
+  snow_drift: { name: 'Snow drift', unit: '', kind: 'flags' },
+  rain_at_900m: { name: 'Rain at 900 m', unit: '', kind: 'flags' },
 };
+
+const SECTORS = ['N', 'NNE', 'NE', 'ENE', 'E', 'ESE', 'SE', 'SSE', 'S', 'SSW', 'SW', 'WSW', 'W', 'WNW', 'NW', 'NNW'];
 
 export const variableName = (name) => VARIABLES[name]?.name ?? name.replaceAll('_', ' ');
 
@@ -94,6 +97,7 @@ export function valueText(name, value) {
   const variable = VARIABLES[name];
   if (value === null || value === undefined) return MISSING;
   if (typeof value === 'boolean') return value ? 'yes' : 'no';
+  if (variable?.kind === 'direction') return `${number(value, 0)}° ${SECTORS[Math.round(value / 22.5) % 16]}`;
   return `${number(value, variable?.digits ?? 1)} ${variable?.unit ?? ''}`.trim();
 }
 
