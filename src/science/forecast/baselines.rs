@@ -94,3 +94,43 @@ impl Persistence {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn climatology_is_the_rate_of_the_days_around() {
+        // 100: event, 110: quiet, 111: event, 200: quiet
+        let climatology = Climatology::fit(&[100, 110, 111, 200], &[true, false, true, false]);
+        assert_eq!(climatology.probability(89), 0.5, "no day within ten: the rate of the season");
+        assert_eq!(climatology.probability(90), 1.0);
+        assert_eq!(climatology.probability(100), 0.5);
+        assert_eq!(climatology.probability(105), 2.0 / 3.0);
+        assert_eq!(climatology.probability(111), 0.5);
+        assert_eq!(climatology.probability(195), 0.0);
+    }
+
+    #[test]
+    fn climatology_ends_with_the_season() {
+        let climatology = Climatology::fit(&[0, 365, 180], &[true, false, true]);
+        assert_eq!(climatology.probability(3), 1.0);
+        assert_eq!(climatology.probability(360), 0.0);
+        assert_eq!(climatology.probability(400), climatology.probability(365));
+        assert_eq!(climatology.probability(-5), climatology.probability(0));
+        assert_eq!(Climatology::fit(&[], &[]).probability(10), 0.0);
+    }
+
+    #[test]
+    fn persistence_is_the_rate_after_each_kind_of_day() {
+        let yesterday = [Some(true), Some(true), Some(true), Some(false), Some(false), None];
+        let fit = Persistence::fit(&yesterday, &[true, true, false, true, false, false]);
+        assert_eq!(fit.probability(Some(true)), 2.0 / 3.0);
+        assert_eq!(fit.probability(Some(false)), 0.5);
+        assert_eq!(fit.probability(None), 0.5);
+        // where the training days say nothing of an event yesterday, the base rate does
+        let quiet = Persistence::fit(&[Some(false), None], &[false, true]);
+        assert_eq!(quiet.probability(Some(true)), 0.5);
+        assert_eq!(Persistence::fit(&[], &[]).probability(Some(true)), 0.0);
+    }
+}

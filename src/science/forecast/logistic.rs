@@ -191,3 +191,71 @@ fn sigmoid(z: f64) -> f64 {
     let e = (-z.abs()).exp();
     if z >= 0.0 { 1.0 / (1.0 + e) } else { e / (1.0 + e) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::forecast::problems::waves;
+
+    /// `LogisticRegression(C=C, solver="newton-cholesky", tol=1e-12)` of scikit-learn 1.9.1 on [`waves`]: C, intercept, weights.
+    const SCIKIT_LEARN: [(f64, f64, [f64; 4]); 3] = [
+        (
+            1.0,
+            -0.775_898_757_123_748_9,
+            [2.603_062_843_086_315, -1.407_977_315_752_856_3, -0.535_647_839_342_749_7, -0.067_576_157_055_530_12],
+        ),
+        (
+            0.05,
+            -0.425_821_601_058_033_8,
+            [0.563_405_042_051_493, -0.254_170_914_232_881_1, -0.095_834_368_975_367_97, -0.037_582_947_364_477_99],
+        ),
+        (
+            20.0,
+            -1.855_420_787_805_850_4,
+            [5.992_767_624_990_001, -3.892_556_477_264_158_8, -1.572_162_202_266_073_3, 0.072_573_292_239_328_07],
+        ),
+    ];
+
+    #[test]
+    fn coefficients_are_those_of_scikit_learn() {
+        let (x, event) = waves();
+        let far_start = Logistic { intercept: 5.0, weights: vec![-4.0, 4.0, 4.0, -4.0] };
+        for (c, intercept, weights) in SCIKIT_LEARN {
+            for start in [None, Some(&far_start)] {
+                let fit = fit(&x, &event, 1.0 / c, start).unwrap();
+                assert!((fit.intercept - intercept).abs() < 1e-6, "C = {c}: {fit:?}");
+                for (ours, theirs) in fit.weights.iter().zip(weights) {
+                    assert!((ours - theirs).abs() < 1e-6, "C = {c}: {fit:?}");
+                }
+            }
+        }
+    }
+
+    /// Without a ridge separable classes have no finite maximum; with it the gradient vanishes at the fit.
+    #[test]
+    fn separable_classes_are_fitted() {
+        let x = Matrix::from_rows(5, 1, vec![-2.0, -1.0, 0.5, 1.0, 3.0]).unwrap();
+        let event = [false, false, true, true, true];
+        let fit = fit(&x, &event, 1e-3, None).unwrap();
+        let residual = |i: usize| fit.probability(x.row(i)) - f64::from(u8::from(event[i]));
+        let slope: f64 = (0..5).map(|i| residual(i) * x.row(i)[0]).sum::<f64>() + 1e-3 * fit.weights[0];
+        assert!((0..5).map(residual).sum::<f64>().abs() < 1e-9 && slope.abs() < 1e-9, "{fit:?}");
+        assert!(fit.weights[0] > 5.0);
+    }
+
+    #[test]
+    fn what_cannot_be_fitted_is_an_error() {
+        let x = Matrix::from_rows(2, 1, vec![0.0, 1.0]).unwrap();
+        assert_eq!(fit(&x, &[true], 1.0, None), Err(LogisticError::LengthMismatch { rows: 2, labels: 1 }));
+        assert_eq!(fit(&x, &[true, true], 1.0, None), Err(LogisticError::OneClass));
+        assert_eq!(fit(&x, &[true, false], 0.0, None), Err(LogisticError::Penalty(0.0)));
+        let broken = Matrix::from_rows(2, 1, vec![f64::NAN, 1.0]).unwrap();
+        assert_eq!(fit(&broken, &[true, false], 1.0, None), Err(LogisticError::NotConverged));
+    }
+
+    #[test]
+    fn without_a_feature_the_base_rate_remains() {
+        let fit = fit(&Matrix::filled(4, 0, 0.0), &[true, false, false, false], 1.0, None).unwrap();
+        assert!((fit.probability(&[]) - 0.25).abs() < 1e-12);
+    }
+}

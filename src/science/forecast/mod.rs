@@ -1,6 +1,8 @@
 //! Avalanche-day forecasting with support vector machines, after Pozdnoukhov, Purves & Kanevski (2008).
 //!
-//! Data flow: [`day`] records of one station -> features -> standardised samples -> machine -> probability.
+//! Data flow: [`day`] records of one station -> [`features`] -> standardised samples ([`preparation`]) -> machine ([`svm`]) ->
+//! probability. [`model`] runs it: it trains, forecasts and finds similar days. [`evaluation`] judges the same recipe, and the
+//! models beside it ([`baselines`], [`neighbours`], [`logistic`]), on held-out seasons with the scores of [`verification`].
 
 pub mod baselines;
 pub mod day;
@@ -11,6 +13,8 @@ pub mod matrix;
 pub mod model;
 pub mod neighbours;
 pub mod preparation;
+#[cfg(test)]
+mod problems;
 pub mod svm;
 pub mod synthetic;
 pub mod verification;

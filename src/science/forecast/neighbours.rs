@@ -52,3 +52,38 @@ fn squared_distance(a: &[f64], b: &[f64]) -> f64 {
     let rest: f64 = a_rest.iter().zip(b_rest).map(|(p, q)| (p - q) * (p - q)).sum();
     lanes.iter().sum::<f64>() + rest
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::forecast::problems::waves;
+
+    /// `KNeighborsClassifier(k, algorithm="brute").fit(X[:45], y[:45]).predict_proba(X[45:])` of scikit-learn 1.9.1 on
+    /// [`waves`].
+    #[test]
+    fn shares_are_those_of_scikit_learn() {
+        let (x, event) = waves();
+        let training: Vec<usize> = (0..45).collect();
+        let past = x.select_rows(&training);
+        let neighbours = Neighbours::new(&past, &event[..45]);
+        let thirds = [1, 1, 0, 1, 2, 2, 0, 2, 3, 0, 1, 3, 2, 0, 0];
+        let tenths = [5, 3, 3, 4, 8, 6, 0, 6, 6, 2, 3, 7, 5, 3, 2];
+        for row in 45..60 {
+            let share = |k| neighbours.probability(x.row(row), k, |_| true);
+            assert_eq!(share(3), Some(f64::from(thirds[row - 45]) / 3.0), "row {row}");
+            assert_eq!(share(10), Some(f64::from(tenths[row - 45]) / 10.0), "row {row}");
+        }
+    }
+
+    #[test]
+    fn the_earlier_of_equals_is_nearer_and_a_fold_can_be_left_out() {
+        let x = Matrix::from_rows(4, 1, vec![1.0, -1.0, 1.0, 5.0]).unwrap();
+        let neighbours = Neighbours::new(&x, &[true, false, false, true]);
+        assert_eq!(neighbours.probability(&[0.0], 1, |_| true), Some(1.0));
+        assert_eq!(neighbours.probability(&[0.0], 2, |_| true), Some(0.5));
+        assert_eq!(neighbours.probability(&[0.0], 1, |i| i != 0), Some(0.0));
+        assert_eq!(neighbours.probability(&[0.0], 9, |i| i >= 2), Some(0.5));
+        assert_eq!(neighbours.probability(&[0.0], 1, |_| false), None);
+        assert_eq!(neighbours.probability(&[0.0], 0, |_| true), None);
+    }
+}

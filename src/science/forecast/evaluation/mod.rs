@@ -29,7 +29,7 @@ use crate::progress::Progress;
 use folds::{seasons_before_chaining, seasons_of_each_class};
 pub(crate) use forecasters::Part;
 pub use per_model::PerModel;
-pub(crate) use samples::{Samples, before, is_recorded};
+pub(crate) use samples::{Samples, before, is_recorded, variables_read};
 pub(crate) use share::{Share, Shares};
 
 /// Bins of the reliability diagram.
@@ -346,3 +346,8 @@ fn difference(pooled: &PerModel<Vec<Outcome>>, replicates: &PerModel<Replicates>
     let Interval { lower, upper } = interval(&differences, LEVEL)?;
     Some(Difference { estimate: auc(&pooled.svm)? - auc(&pooled.knn30)?, lower, upper })
 }
+
+#[cfg(test)]
+mod archive_tests;
+#[cfg(test)]
+mod tests;

@@ -10,7 +10,7 @@ use crate::forecast::matrix::Matrix;
 /// Scorable days in order of date, one row each: the label of the target day is known, and the base day and the two
 /// calendar days before it are recorded in the same season.
 ///
-/// A day counts as recorded where it has a value of a variable that the station reports.
+/// A day counts as recorded where it has a value of a variable that a feature is computed from.
 #[derive(Clone, Debug)]
 pub(crate) struct Samples {
     /// Target days.
@@ -33,10 +33,11 @@ pub(crate) struct Samples {
 
 impl Samples {
     pub(crate) fn collect(history: &History<'_>, set: &FeatureSet, label: Label, lead: u8) -> Self {
+        let read = variables_read(set);
         let scorable: Vec<(Date, Date, bool)> = history
             .days()
             .iter()
-            .filter_map(|day| Some((day.date, base_day(history, set, day.date, lead)?, label.of(day.activity)?)))
+            .filter_map(|day| Some((day.date, base_day(history, &read, day.date, lead)?, label.of(day.activity)?)))
             .collect();
         let date: Vec<Date> = scorable.iter().map(|&(date, ..)| date).collect();
         let base: Vec<Date> = scorable.iter().map(|&(_, base, _)| base).collect();
@@ -71,11 +72,11 @@ impl Samples {
 }
 
 /// The base day of a target day, `None` where it or one of the two days before it is not recorded in the same season.
-fn base_day(history: &History<'_>, set: &FeatureSet, target: Date, lead: u8) -> Option<Date> {
+fn base_day(history: &History<'_>, read: &[Variable], target: Date, lead: u8) -> Option<Date> {
     let base = before(target, i32::from(lead))?;
     let recorded = |lag| {
         let day = history.day(before(base, lag)?)?;
-        (season_of(day.date) == season_of(target) && is_recorded(day, &set.reported)).then_some(())
+        (season_of(day.date) == season_of(target) && is_recorded(day, read)).then_some(())
     };
     (0..=2).try_for_each(recorded)?;
     Some(base)
@@ -89,6 +90,11 @@ pub(crate) fn before(date: Date, days: i32) -> Option<Date> {
 /// Whether the day has a value of one of `variables`.
 pub(crate) fn is_recorded(day: &DayRecord, variables: &[Variable]) -> bool {
     variables.iter().any(|&v| day.value(v).is_some())
+}
+
+/// The variables that the features of `set` are computed from.
+pub(crate) fn variables_read(set: &FeatureSet) -> Vec<Variable> {
+    set.reported.iter().copied().filter(|v| set.features.iter().any(|f| f.inputs.contains(v))).collect()
 }
 
 /// Days x reported variables; without the cumulative snow index, whose value says more of the date than of the day.

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::forecast::day::{DayRecord, Label, Variable};
-use crate::forecast::evaluation::{before, is_recorded};
+use crate::forecast::evaluation::{before, is_recorded, variables_read};
 use crate::forecast::features::{FeatureSet, FeatureSetId, History, HistoryError};
 use crate::forecast::preparation::{Preparation, PreparedRow};
 use crate::forecast::svm::{Machine, Platt};
@@ -133,6 +133,20 @@ pub struct SimilarDay {
     pub contribution: f64,
 }
 
+/// What a feature adds to a forecast.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FeatureContribution {
+    /// Name of the feature.
+    pub feature: String,
+    /// Its value in the unit of the feature; `None` where it was missing and took its training median.
+    pub value: Option<f64>,
+    /// That value in standard deviations from its training mean.
+    pub standardised: f64,
+    /// Decision value minus the one with this feature at its training mean: above 0 where the feature speaks for an avalanche
+    /// day. A Gaussian machine is not additive, so these do not add up to the decision value.
+    pub contribution: f64,
+}
+
 /// Why there is no forecast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum ForecastError {
@@ -169,6 +183,7 @@ pub enum ForecastError {
 /// A target day as the machine sees it.
 struct Input {
     base_date: Date,
+    raw: Vec<f64>,
     row: PreparedRow,
     missing: Vec<String>,
 }
@@ -181,7 +196,7 @@ impl TrainedModel {
     /// # Errors
     /// [`ForecastError`], above all [`ForecastError::NoObservation`].
     pub fn forecast(&self, history: &[DayRecord], date: Date) -> Result<Forecast, ForecastError> {
-        let Input { base_date, row, missing } = self.input(history, date)?;
+        let Input { base_date, row, missing, .. } = self.input(history, date)?;
         let decision_value = self.machine.decision_value(&row.values);
         let probability = self.platt.probability(decision_value);
         if !probability.is_finite() {
@@ -232,20 +247,42 @@ impl TrainedModel {
         Ok(similar)
     }
 
+    /// What each feature adds to the forecast of `date`, the strongest first.
+    ///
+    /// # Errors
+    /// As [`TrainedModel::forecast`].
+    pub fn contributions(&self, history: &[DayRecord], date: Date) -> Result<Vec<FeatureContribution>, ForecastError> {
+        let Input { raw, row, .. } = self.input(history, date)?;
+        let all = self.machine.decision_value(&row.values);
+        let mut values = row.values;
+        let mut contributions: Vec<FeatureContribution> = (0..values.len())
+            .map(|j| {
+                let standardised = std::mem::replace(&mut values[j], 0.0);
+                let contribution = all - self.machine.decision_value(&values);
+                values[j] = standardised;
+                let value = raw.get(j).copied().filter(|v| v.is_finite());
+                FeatureContribution { feature: self.features[j].clone(), value, standardised, contribution }
+            })
+            .collect();
+        contributions.sort_by(|a, b| b.contribution.abs().total_cmp(&a.contribution.abs()));
+        Ok(contributions)
+    }
+
     fn input(&self, history: &[DayRecord], date: Date) -> Result<Input, ForecastError> {
         let history = History::new(history)?;
         let set = self.feature_set()?;
         let base_date = before(date, i32::from(self.lead)).ok_or(ForecastError::NoBaseDay { date, lead: self.lead })?;
-        let read: Vec<Variable> =
-            set.reported.iter().copied().filter(|v| set.features.iter().any(|f| f.inputs.contains(v))).collect();
+        let read = variables_read(&set);
         let base = history
             .day(base_date)
             .filter(|day| is_recorded(day, &read))
             .ok_or(ForecastError::NoObservation { date: base_date })?;
         let absent = read.iter().filter(|&&v| base.value(v).is_none());
+        let raw = set.compute(&history, base_date);
         Ok(Input {
             base_date,
-            row: self.preparation.transform_row(&set.compute(&history, base_date)),
+            row: self.preparation.transform_row(&raw),
+            raw,
             missing: absent.map(|v| v.name().to_owned()).collect(),
         })
     }

@@ -11,7 +11,8 @@ mod forecast;
 mod options;
 
 pub use forecast::{
-    Category, Forecast, ForecastError, InputQuality, SimilarDay, SupportDay, TrainedModel, TrainingWindow,
+    Category, FeatureContribution, Forecast, ForecastError, InputQuality, SimilarDay, SupportDay, TrainedModel,
+    TrainingWindow,
 };
 pub use options::{LONGEST_LEAD, TrainingError, TrainingOptions, TrainingSummary, check};
 use options::{Prepared, prepare};
@@ -84,3 +85,6 @@ fn fit(prepared: &Prepared, options: &TrainingOptions, progress: &dyn Progress) 
 fn support_days(samples: &Samples, rows: &[usize]) -> Vec<SupportDay> {
     rows.iter().map(|&i| SupportDay { date: samples.date[i], label: samples.event[i] }).collect()
 }
+
+#[cfg(test)]
+mod tests;

@@ -180,3 +180,66 @@ impl Likelihood<'_> {
         slope
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::forecast::svm::problems::decisions;
+
+    /// The root of the gradient found by SciPy 1.17.1 (`optimize.root` after BFGS on the same likelihood).
+    #[test]
+    fn agrees_with_scipy() {
+        let decision = [-2.0, -1.5, -1.0, -0.25, 0.0, 0.5, 0.75, 1.25, 2.0, 3.0];
+        let labels = [false, false, false, true, false, false, true, true, true, true];
+        let platt = fit_platt(&decision, &labels).unwrap();
+        // the method stops at a gradient of 1e-5
+        assert!((platt.a - -0.898_960_375_856).abs() < 1e-5, "{platt:?}");
+        assert!((platt.b - 0.222_031_238_834).abs() < 1e-5, "{platt:?}");
+    }
+
+    #[test]
+    fn agrees_with_libsvm() {
+        for seed in 0..200 {
+            let (decision, labels) = decisions(seed);
+            let signs: Vec<f64> = labels.iter().map(|&event| if event { 1.0 } else { -1.0 }).collect();
+            let (a, b) = libsvm_rs::probability::sigmoid_train(&decision, &signs);
+            let platt = fit_platt(&decision, &labels).unwrap();
+            let theirs = Platt { a, b };
+            for &f in &decision {
+                let difference = (platt.probability(f) - theirs.probability(f)).abs();
+                assert!(difference < 1e-6, "seed {seed}: {platt:?} {theirs:?} at {f}");
+            }
+        }
+    }
+
+    #[test]
+    fn probability_never_overflows() {
+        let platt = Platt { a: -3.0, b: 0.5 };
+        assert_eq!(platt.probability(-1e300), 0.0);
+        assert_eq!(platt.probability(1e300), 1.0);
+        assert!((platt.probability(0.5) - 1.0 / (1.0 + (-1.0_f64).exp())).abs() < 1e-15);
+    }
+
+    #[test]
+    fn equal_decision_values_give_the_base_rate() {
+        let labels = [true, false, false, false, true, false];
+        let platt = fit_platt(&[0.7; 6], &labels).unwrap();
+        // mean of the regularised targets: (2 * 3/4 + 4 * 1/6) / 6
+        assert!((platt.probability(0.7) - (1.5 + 4.0 / 6.0) / 6.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn bad_input_is_an_error() {
+        assert_eq!(fit_platt(&[], &[]), Err(CalibrationError::OneClass));
+        assert_eq!(fit_platt(&[1.0, 2.0], &[true, true]), Err(CalibrationError::OneClass));
+        assert_eq!(fit_platt(&[1.0, f64::NAN], &[true, false]), Err(CalibrationError::NotFinite { index: 1 }));
+        assert_eq!(
+            fit_platt(&[1.0], &[true, false]),
+            Err(CalibrationError::LengthMismatch { decision_values: 1, labels: 2 })
+        );
+        // squares overflow: refused or fitted, but neither NaN nor a panic
+        if let Ok(platt) = fit_platt(&[1e200, -1e200], &[true, false]) {
+            assert!(platt.a.is_finite() && platt.b.is_finite());
+        }
+    }
+}

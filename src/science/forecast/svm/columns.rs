@@ -54,12 +54,12 @@ impl Columns {
 }
 
 /// Elements of a row that are kept in the first-level cache while the features pass by.
-const BLOCK: usize = 1024;
+const SPAN: usize = 1024;
 
 #[inline(always)]
 fn add_terms(family: KernelFamily, data: &[f64], stride: usize, point: &[f64], out: &mut [f64]) {
-    for (block, out) in out.chunks_mut(BLOCK).enumerate() {
-        let start = block * BLOCK;
+    for (block, out) in out.chunks_mut(SPAN).enumerate() {
+        let start = block * SPAN;
         // four features a pass save three of four loads and stores; the sums stay in feature order
         let (fours, rest) = point.as_chunks::<4>();
         for (group, p) in fours.iter().enumerate() {

@@ -27,8 +27,10 @@ impl PairTable {
         let stride = columns.stride();
         let mut pairs = vec![0.0; x.rows() * stride];
         if stride > 0 {
-            pairs.par_chunks_mut(stride).enumerate().for_each(|(i, row)| columns.pairs(family, x.row(i), row));
+            let lower = |(i, row): (usize, &mut [f64])| columns.pairs(family, x.row(i), &mut row[..=i]);
+            pairs.par_chunks_mut(stride).enumerate().with_max_len(1).for_each(lower);
         }
+        mirror(&mut pairs, x.rows(), stride);
         Self { family, rows: x.rows(), stride, pairs }
     }
 
@@ -92,7 +94,12 @@ impl Gram {
     #[must_use]
     pub fn of_rows(x: &Matrix, kernel: Kernel) -> Self {
         let columns = Columns::of_rows(x, 0..x.rows());
-        Self::build(kernel, x.rows(), |i, pairs, row| columns.kernel_row(&kernel, x.row(i), pairs, row))
+        let mut gram = Self::build(kernel, x.rows(), |i, pairs, row| {
+            columns.pairs(kernel.family(), x.row(i), &mut pairs[..=i]);
+            kernel_of_pairs(&kernel, &pairs[..=i], row);
+        });
+        mirror(&mut gram.values, gram.rows, gram.stride);
+        gram
     }
 
     /// Bytes that [`Gram`] takes for `rows` rows.
@@ -161,6 +168,31 @@ impl Gram {
             selection.gather(self.padded_row(i), row);
         }
         Self { kernel: self.kernel, rows, stride, finite: self.finite, values }
+    }
+}
+
+/// Rows that [`mirror`] takes at a time, few enough for a square of them to stay in the first-level cache.
+const TILE: usize = 32;
+
+/// Copies the lower triangle of a symmetric matrix to the upper one.
+fn mirror<T: Copy>(values: &mut [T], rows: usize, stride: usize) {
+    for start in (0..rows).step_by(TILE) {
+        let end = (start + TILE).min(rows);
+        let (head, tail) = values.split_at_mut(end * stride);
+        let band = &mut head[start * stride..];
+        for i in 0..end - start {
+            for j in 0..i {
+                band[j * stride + start + i] = band[i * stride + start + j];
+            }
+        }
+        for (tile, below) in tail.chunks(TILE * stride).enumerate() {
+            let first = end + tile * TILE;
+            for (i, row) in band.chunks_mut(stride).enumerate() {
+                for (j, source) in below.chunks_exact(stride).enumerate() {
+                    row[first + j] = source[start + i];
+                }
+            }
+        }
     }
 }
 

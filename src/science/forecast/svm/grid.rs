@@ -375,3 +375,7 @@ fn mean_auc(labels: &[bool], folds: &[Fold], values: &[Vec<f64>]) -> Option<f64>
         .collect();
     (!scored.is_empty()).then(|| scored.iter().sum::<f64>() / scored.len() as f64)
 }
+
+#[cfg(test)]
+#[path = "grid_tests.rs"]
+mod tests;

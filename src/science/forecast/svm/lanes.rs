@@ -3,12 +3,29 @@
 //! Nothing here depends on the width of the machine's registers, and no multiplication is fused with an addition, so every
 //! instruction set gives the same bits.
 
-/// Elements that one step of a reduction takes; the row length of every padded array is a multiple of it.
-pub(super) const LANES: usize = 16;
+/// Partial sums of a dot product.
+const LANES: usize = 16;
 
-/// `n` rounded up to a multiple of [`LANES`].
+/// Elements that are searched at once; the row length of every padded array is a multiple of it.
+pub(super) const BLOCK: usize = 64;
+
+/// `n` rounded up to a multiple of [`BLOCK`].
 pub(super) const fn padded(n: usize) -> usize {
-    n.div_ceil(LANES) * LANES
+    n.div_ceil(BLOCK) * BLOCK
+}
+
+/// An integer that orders as `x` does (-0 just below 0): unlike a maximum of floats one of integers may be taken in any
+/// order, so the compiler keeps it in registers.
+#[inline(always)]
+pub(super) const fn order(x: f64) -> i64 {
+    let bits = x.to_bits() as i64;
+    bits ^ (((bits >> 63) as u64) >> 1) as i64
+}
+
+/// The inverse of [`order`].
+#[inline(always)]
+pub(super) const fn from_order(key: i64) -> f64 {
+    f64::from_bits((key ^ (((key >> 63) as u64) >> 1) as i64) as u64)
 }
 
 /// `exp(x)` for `x <= 0`, relative error below 1e-15; 0 below -708.
@@ -93,6 +110,14 @@ mod tests {
         assert_eq!(exp_of_negative(-1e300), 0.0);
         assert_eq!(exp_of_negative(f64::NEG_INFINITY), 0.0);
         assert!(exp_of_negative(f64::NAN).is_nan());
+    }
+
+    #[test]
+    fn order_keeps_order() {
+        let values =
+            [f64::NEG_INFINITY, -1e300, -2.0, -1.0, -1e-300, -0.0, 0.0, 1e-300, 1.0, 2.0, 1e300, f64::INFINITY];
+        assert!(values.windows(2).all(|w| order(w[0]) < order(w[1])));
+        assert!(values.iter().all(|&v| from_order(order(v)).to_bits() == v.to_bits()));
     }
 
     #[test]

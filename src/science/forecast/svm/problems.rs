@@ -73,3 +73,24 @@ pub(super) fn problem(seed: u64) -> Problem {
     let name = format!("problem {seed}: {rows} x {columns}, {duplicates} duplicates, {kernel:?}, {cost:?}");
     Problem { name, x: Matrix::from_rows(rows, columns, data.concat()).unwrap(), labels, kernel, cost }
 }
+
+/// Decision values and labels number `seed` for a calibration: overlapping to separated classes, any base rate.
+pub(super) fn decisions(seed: u64) -> (Vec<f64>, Vec<bool>) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let (rows, rate) = (rng.random_range(4..400), pick(&mut rng, &[0.05, 0.2, 0.5]));
+    let (shift, width) = (pick(&mut rng, &[0.0, 0.5, 2.0, 6.0]), pick(&mut rng, &[0.1, 1.0, 5.0]));
+    let mut labels: Vec<bool> = (0..rows).map(|_| rng.random::<f64>() < rate).collect();
+    (labels[0], labels[1]) = (true, false);
+    let decision = labels.iter().map(|&event| width * (normal(&mut rng) + if event { shift } else { 0.0 })).collect();
+    (decision, labels)
+}
+
+/// A set ordered by season with its folds: `seasons` blocks of `length` days, a fifth of them events.
+pub(super) fn seasons(seed: u64, seasons: usize, length: usize) -> (Matrix, Vec<bool>, Vec<usize>) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let (rows, columns) = (seasons * length, 7);
+    let data: Vec<f64> = (0..rows * columns).map(|_| normal(&mut rng)).collect();
+    let labels = data.chunks(columns).map(|x| x[0] + x[1] * x[2] + normal(&mut rng) > 1.3).collect();
+    let fold = (0..rows).map(|row| row / length).collect();
+    (Matrix::from_rows(rows, columns, data).unwrap(), labels, fold)
+}

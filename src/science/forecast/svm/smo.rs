@@ -2,7 +2,7 @@
 
 use multiversion::multiversion;
 
-use super::lanes::{LANES, padded, subtract_scaled};
+use super::lanes::{BLOCK, from_order, order, padded, subtract_scaled};
 use super::rows::Rows;
 use super::solver::{Cost, SolverError, SolverOptions};
 
@@ -86,30 +86,22 @@ impl Dual {
         for (i, &a) in alpha.iter().enumerate() {
             self.beta[i] = (a * self.target[i]).clamp(self.lower[i], self.upper[i]);
         }
-        let excess: f64 = self.beta.iter().sum();
-        if excess != 0.0 {
-            self.reduce(excess);
-        }
+        self.balance();
         (0..self.beta.len()).for_each(|i| self.mark_bounds(i));
         self.refresh(rows);
     }
 
-    /// Takes `excess` out of the variables of its own sign.
-    fn reduce(&mut self, excess: f64) {
-        let at_bound = |b: f64, lower: f64, upper: f64| b == lower || b == upper;
+    /// Takes the excess of the class with the larger sum out of its variables, one after the other.
+    fn balance(&mut self) {
+        let mut excess: f64 = self.beta.iter().sum();
         for free_only in [true, false] {
-            let eligible: Vec<usize> = (0..self.beta.len())
-                .filter(|&i| self.beta[i] * excess > 0.0)
-                .filter(|&i| !free_only || !at_bound(self.beta[i], self.lower[i], self.upper[i]))
-                .collect();
-            let available: f64 = eligible.iter().map(|&i| self.beta[i]).sum();
-            let remaining: f64 = self.beta.iter().sum();
-            if remaining * excess <= 0.0 || available == 0.0 {
-                continue;
-            }
-            let keep = (1.0 - remaining / available).max(0.0);
-            for i in eligible {
-                self.beta[i] *= keep;
+            for i in 0..self.beta.len() {
+                let is_free = self.beta[i] != self.lower[i] && self.beta[i] != self.upper[i];
+                if self.beta[i] * excess > 0.0 && (is_free || !free_only) {
+                    let taken = if self.beta[i].abs() < excess.abs() { self.beta[i] } else { excess };
+                    self.beta[i] -= taken;
+                    excess -= taken;
+                }
             }
         }
     }
@@ -195,6 +187,10 @@ impl Dual {
         options: &SolverOptions,
         stop: &dyn Fn() -> bool,
     ) -> Result<Effort, SolverError> {
+        // neither kernel exceeds the larger of two diagonal values, so these vouch for all
+        if !rows.diagonal().iter().all(|k| k.is_finite()) {
+            return Err(SolverError::NotFinite);
+        }
         let mut iterations = 0;
         let mut gap = f64::INFINITY;
         for _ in 0..MAX_REFRESHES {
@@ -253,13 +249,14 @@ impl Scan {
 fn descend(dual: &mut Dual, rows: &mut dyn Rows, epsilon: f64, budget: usize) -> (usize, bool) {
     let diagonal = rows.diagonal().to_vec();
     let still = vec![0.0; diagonal.len()];
-    let mut scan = step_and_scan(dual, 0.0, &still, &still);
+    let mut peaks = vec![i64::MIN; diagonal.len() / BLOCK];
+    let mut scan = step_and_scan(&mut dual.residual, &dual.rise, &dual.fall, 0.0, &still, &still, &mut peaks);
     for iteration in 0..budget {
         if scan.is_final(epsilon) {
             return (iteration, true);
         }
         let i = scan.first;
-        let j = select_second(dual, scan.most, diagonal[i], &diagonal, rows.row(i));
+        let j = select_second(&dual.residual, &dual.fall, scan.most, diagonal[i], &diagonal, rows.row(i));
         let (row_i, row_j) = rows.pair(i, j);
         let curvature = f64::from(diagonal[i]) + f64::from(diagonal[j]) - 2.0 * f64::from(row_i[j]);
         let unbounded = (scan.most - dual.residual[j]) / curvature.max(TAU);
@@ -269,73 +266,74 @@ fn descend(dual: &mut Dual, rows: &mut dyn Rows, epsilon: f64, budget: usize) ->
         dual.beta[j] = if step >= room_j { dual.lower[j] } else { dual.beta[j] - step };
         dual.mark_bounds(i);
         dual.mark_bounds(j);
-        scan = step_and_scan(dual, step, row_i, row_j);
+        scan = step_and_scan(&mut dual.residual, &dual.rise, &dual.fall, step, row_i, row_j, &mut peaks);
     }
     (budget, scan.is_final(epsilon))
 }
 
 /// The partner that promises the largest decrease, `b^2 / q` of Fan, Chen & Lin (2005), eq. 10 (WSS 2).
-///
-/// Single precision: it only ranks the partners, the step itself is double.
 #[inline(always)]
-fn select_second(dual: &Dual, most: f64, diagonal_i: f32, diagonal: &[f32], row: &[f32]) -> usize {
-    let mut best = [-1.0_f32; LANES];
-    let mut place = [0_u32; LANES];
-    let residual = dual.residual.as_chunks::<LANES>().0;
-    let fall = dual.fall.as_chunks::<LANES>().0;
-    let (diagonal, row) = (diagonal.as_chunks::<LANES>().0, row.as_chunks::<LANES>().0);
-    for (chunk, (((r, down), d), k)) in residual.iter().zip(fall).zip(diagonal).zip(row).enumerate() {
-        for lane in 0..LANES {
-            let violation = (most - (r[lane] + down[lane])) as f32;
-            let curvature = diagonal_i + d[lane] - 2.0 * k[lane];
-            let decrease = violation * violation / if curvature > TAU as f32 { curvature } else { TAU as f32 };
-            let score = if violation > 0.0 { decrease } else { -1.0 };
-            let better = score > best[lane];
-            best[lane] = if better { score } else { best[lane] };
-            place[lane] = if better { chunk as u32 } else { place[lane] };
+fn select_second(residual: &[f64], fall: &[f64], most: f64, diagonal_i: f32, diagonal: &[f32], row: &[f32]) -> usize {
+    let blocks = || {
+        let scores = residual.as_chunks::<BLOCK>().0.iter().zip(fall.as_chunks::<BLOCK>().0);
+        scores.zip(diagonal.as_chunks::<BLOCK>().0.iter().zip(row.as_chunks::<BLOCK>().0))
+    };
+    let mut best = (i32::MIN, 0);
+    for (block, ((r, down), (d, k))) in blocks().enumerate() {
+        let mut peak = i32::MIN;
+        for lane in 0..BLOCK {
+            peak = peak.max(promise(most, r[lane] + down[lane], diagonal_i, d[lane], k[lane]));
+        }
+        if peak > best.0 {
+            best = (peak, block);
         }
     }
-    let mut winner = (best[0], place[0] as usize * LANES);
-    for lane in 1..LANES {
-        let candidate = (best[lane], place[lane] as usize * LANES + lane);
-        if candidate.0 > winner.0 || (candidate.0 == winner.0 && candidate.1 < winner.1) {
-            winner = candidate;
-        }
-    }
-    winner.1
+    let (peak, block) = best;
+    let found = blocks().nth(block).and_then(|((r, down), (d, k))| {
+        (0..BLOCK).find(|&lane| promise(most, r[lane] + down[lane], diagonal_i, d[lane], k[lane]) == peak)
+    });
+    block * BLOCK + found.unwrap_or(0)
 }
 
-/// Moves the residual by a step along `e_i - e_j` and finds the next extremes in the same pass.
+/// How much a partner promises, as an integer that orders as the promise does; below 0 for one that promises nothing.
+///
+/// Single precision: it only ranks the partners, the step itself is double. The bits of a float above 0 order as it does.
 #[inline(always)]
-fn step_and_scan(dual: &mut Dual, step: f64, row_i: &[f32], row_j: &[f32]) -> Scan {
-    let mut best = [f64::NEG_INFINITY; LANES];
-    let mut place = [0_u64; LANES];
-    let mut least = [f64::INFINITY; LANES];
-    let rise = dual.rise.as_chunks::<LANES>().0;
-    let fall = dual.fall.as_chunks::<LANES>().0;
-    let residual = dual.residual.as_chunks_mut::<LANES>().0;
-    let (row_i, row_j) = (row_i.as_chunks::<LANES>().0, row_j.as_chunks::<LANES>().0);
-    for (chunk, ((((r, up), down), ki), kj)) in
-        residual.iter_mut().zip(rise).zip(fall).zip(row_i).zip(row_j).enumerate()
-    {
-        for lane in 0..LANES {
+fn promise(most: f64, residual: f64, diagonal_i: f32, diagonal_j: f32, k: f32) -> i32 {
+    let violation = (most - residual) as f32;
+    let curvature = diagonal_i + diagonal_j - 2.0 * k;
+    let decrease = violation * violation / if curvature > TAU as f32 { curvature } else { TAU as f32 };
+    if violation > 0.0 { decrease.to_bits() as i32 } else { -1 }
+}
+
+/// Moves the residual by `step` along `e_i - e_j` and finds the next extremes in the same pass. `peaks` is scratch.
+#[inline(always)]
+fn step_and_scan(
+    residual: &mut [f64],
+    rise: &[f64],
+    fall: &[f64],
+    step: f64,
+    row_i: &[f32],
+    row_j: &[f32],
+    peaks: &mut [i64],
+) -> Scan {
+    let mut least = i64::MAX;
+    let bounds = rise.as_chunks::<BLOCK>().0.iter().zip(fall.as_chunks::<BLOCK>().0);
+    let rows = row_i.as_chunks::<BLOCK>().0.iter().zip(row_j.as_chunks::<BLOCK>().0);
+    let blocks = residual.as_chunks_mut::<BLOCK>().0.iter_mut().zip(peaks.iter_mut());
+    for ((r, peak), ((up, down), (ki, kj))) in blocks.zip(bounds.zip(rows)) {
+        let mut most = i64::MIN;
+        for lane in 0..BLOCK {
             let moved = r[lane] - step * (f64::from(ki[lane]) - f64::from(kj[lane]));
             r[lane] = moved;
-            let high = moved + up[lane];
-            let better = high > best[lane];
-            best[lane] = if better { high } else { best[lane] };
-            place[lane] = if better { chunk as u64 } else { place[lane] };
-            let low = moved + down[lane];
-            least[lane] = if low < least[lane] { low } else { least[lane] };
+            most = most.max(order(moved + up[lane]));
+            least = least.min(order(moved + down[lane]));
         }
+        *peak = most;
     }
-    let mut scan = Scan { first: place[0] as usize * LANES, most: best[0], least: least[0] };
-    for lane in 1..LANES {
-        let at = place[lane] as usize * LANES + lane;
-        if best[lane] > scan.most || (best[lane] == scan.most && at < scan.first) {
-            (scan.most, scan.first) = (best[lane], at);
-        }
-        scan.least = scan.least.min(least[lane]);
-    }
-    scan
+    let most = peaks.iter().fold(i64::MIN, |most, &peak| most.max(peak));
+    let block = peaks.iter().position(|&peak| peak == most).unwrap_or(0);
+    let start = block * BLOCK;
+    let lane = (0..BLOCK).find(|&lane| order(residual[start + lane] + rise[start + lane]) == most).unwrap_or(0);
+    Scan { first: start + lane, most: from_order(most), least: from_order(least) }
 }

@@ -92,3 +92,6 @@ fn ratio(numerator: f64, denominator: f64) -> Option<f64> {
     let ratio = numerator / denominator;
     ratio.is_finite().then_some(ratio)
 }
+
+#[cfg(test)]
+mod tests;

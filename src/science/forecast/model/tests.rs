@@ -1,0 +1,362 @@
+use std::sync::LazyLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use jiff::ToSpan;
+use jiff::civil::{Date, date};
+
+use super::*;
+use crate::forecast::day::{Activity, Label, Variable, season_of};
+use crate::forecast::features::FeatureSetId;
+use crate::forecast::svm::{Grid, GridError, KernelFamily};
+use crate::forecast::synthetic::{REPORTED, synthetic_station};
+use crate::forecast::verification::ThresholdRule;
+use crate::progress::{Progress, Unobserved};
+
+const SEASONS: usize = 6;
+
+fn options() -> TrainingOptions {
+    TrainingOptions {
+        label: Label::Observed,
+        lead: 0,
+        feature_set: FeatureSetId::Expert,
+        kernel: KernelFamily::Gaussian,
+        reported: REPORTED.to_vec(),
+        seed: 7,
+        grid: Grid { c: vec![0.3, 3.0], gamma: vec![0.003, 0.02] },
+        threshold: ThresholdRule::Peirce,
+    }
+}
+
+fn station() -> Vec<DayRecord> {
+    synthetic_station(3, 2000, SEASONS)
+}
+
+/// Lead 0 and lead 1 on the same station.
+static TRAINED: LazyLock<[Trained; 2]> = LazyLock::new(|| {
+    [0, 1].map(|lead| train(&station(), &TrainingOptions { lead, ..options() }, &Unobserved).unwrap())
+});
+
+fn model(lead: usize) -> &'static TrainedModel {
+    &TRAINED[lead].model
+}
+
+/// A day in the middle of the last season whose base days are complete enough for a forecast.
+const DAY: Date = date(2006, 2, 10);
+
+fn refused(days: &[DayRecord], options: &TrainingOptions) -> TrainingError {
+    let refused = check(days, options).unwrap_err();
+    assert_eq!(train(days, options, &Unobserved).unwrap_err(), refused, "check and train agree");
+    refused
+}
+
+#[test]
+fn what_cannot_be_trained_is_refused_with_what_would_be_accepted() {
+    let days = station();
+    let lead = refused(&days, &TrainingOptions { lead: 2, ..options() });
+    assert_eq!(lead.to_string(), "a lead of 2 days is not offered: 0 (the same day) or 1 (the next day) is accepted");
+    let reported = vec![Variable::CumulativeSnowIndex];
+    assert_eq!(refused(&days, &TrainingOptions { reported, ..options() }), TrainingError::NoVariable);
+    for ratio in [0.0, 1.0, f64::NAN] {
+        let threshold = ThresholdRule::CostLoss { ratio };
+        assert!(matches!(refused_ratio(&days, threshold), TrainingError::CostLoss { .. }));
+    }
+    let grid = Grid { c: vec![1.0], gamma: vec![] };
+    assert_eq!(refused(&days, &TrainingOptions { grid, ..options() }), TrainingError::Grid(GridError::EmptyGrid));
+    let grid = Grid { c: vec![-1.0], gamma: vec![0.1] };
+    assert!(matches!(refused(&days, &TrainingOptions { grid, ..options() }), TrainingError::Grid(_)));
+
+    let two: Vec<DayRecord> = synthetic_station(3, 2000, 2);
+    assert_eq!(refused(&two, &options()), TrainingError::TooFewSeasons { found: 2, needed: 3 });
+    assert_eq!(refused(&[], &options()), TrainingError::TooFewSeasons { found: 0, needed: 3 });
+
+    let mut quiet = station();
+    quiet.iter_mut().filter(|day| season_of(day.date) > 2001).for_each(|day| day.activity = Activity::None);
+    let one_class = TrainingError::OneClass { event_seasons: 2, quiet_seasons: SEASONS, needed: 3 };
+    assert_eq!(refused(&quiet, &options()), one_class);
+
+    let mut disordered = station();
+    disordered.swap(4, 5);
+    assert!(matches!(refused(&disordered, &options()), TrainingError::Unordered(_)));
+}
+
+fn refused_ratio(days: &[DayRecord], threshold: ThresholdRule) -> TrainingError {
+    // NaN is not equal to itself, so the two errors cannot be compared
+    check(days, &TrainingOptions { threshold, ..options() }).unwrap_err()
+}
+
+#[test]
+fn the_summary_is_that_of_the_training() {
+    let summary = check(&station(), &options()).unwrap();
+    let Trained { model, evaluation } = &TRAINED[0];
+    assert_eq!((summary.days, summary.events, summary.seasons), (model.training.days, model.training.events, SEASONS));
+    assert_eq!((summary.days, summary.base_rate), (evaluation.days, evaluation.base_rate));
+    assert_eq!((summary.first, summary.last), (evaluation.first, evaluation.last));
+    assert_eq!(model.training.seasons, (2000..2006).collect::<Vec<i16>>());
+}
+
+/// The synthetic avalanches follow from its weather and snowpack, so a model that learns must beat the ones that cannot see them.
+#[test]
+fn the_machine_learns_what_weather_tells() {
+    for trained in TRAINED.iter() {
+        let scores = &trained.evaluation.scores;
+        let auc = scores.map(|s| s.auc.unwrap());
+        assert!(auc.svm > auc.climatology + 0.1 && auc.svm > auc.persistence + 0.05, "{auc:?}");
+        assert!(scores.svm.brier_skill.unwrap() > 0.05 && scores.svm.pss.unwrap() > 0.2);
+        assert_eq!(scores.climatology.brier_skill, Some(0.0));
+        let chained = trained.evaluation.forward_chaining.as_ref().unwrap();
+        assert_eq!((chained.seasons.as_slice(), chained.first_training_seasons), (&[2003, 2004, 2005][..], 3));
+    }
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bits() {
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        // Debug shows every bit of a number that is not NaN
+        pool.install(|| format!("{:?}", train(&station(), &options(), &Unobserved).unwrap()))
+    };
+    let one = on(1);
+    assert!(!one.contains("NaN"));
+    assert!(one == on(2) && one == on(5));
+}
+
+/// What is learnt for a held-out season must not change with anything that happens in that season.
+#[test]
+fn a_held_out_season_teaches_nothing() {
+    const HELD_OUT: usize = 2;
+    let mut days = station();
+    for day in days.iter_mut().filter(|day| season_of(day.date) == 2002) {
+        day.activity = if day.activity == Activity::None { Activity::Observed } else { Activity::None };
+        day.values.iter_mut().flatten().for_each(|value| *value = 3.0 * *value - 5.0);
+    }
+    let changed = train(&days, &options(), &Unobserved).unwrap().evaluation;
+    let learnt = |evaluation: &Evaluation, season: usize| {
+        let season = &evaluation.per_season[season];
+        (season.c, season.gamma, season.threshold)
+    };
+    let original = &TRAINED[0].evaluation;
+    assert_eq!(learnt(&changed, HELD_OUT), learnt(original, HELD_OUT));
+    assert_ne!(changed.per_season[HELD_OUT].scores, original.per_season[HELD_OUT].scores);
+    assert_ne!(learnt(&changed, 0), learnt(original, 0), "the change does teach the other splits");
+}
+
+/// Cancels after some reports, and counts those that still come.
+struct Impatient {
+    patience: usize,
+    reports: AtomicUsize,
+}
+
+impl Progress for Impatient {
+    fn report(&self, _fraction: f64, _phase: &str) {
+        self.reports.fetch_add(1, Ordering::SeqCst);
+    }
+
+    fn cancelled(&self) -> bool {
+        self.reports.load(Ordering::SeqCst) >= self.patience
+    }
+}
+
+#[test]
+fn a_cancelled_run_ends_with_the_next_fit() {
+    for patience in [0, 1, 40] {
+        let progress = Impatient { patience, reports: AtomicUsize::new(0) };
+        assert_eq!(train(&station(), &options(), &progress), Err(TrainingError::Cancelled));
+        // a fit that was under way on another thread may still report
+        let late = progress.reports.into_inner() - patience;
+        assert!(late <= rayon::current_num_threads(), "{late} reports after the cancellation");
+    }
+}
+
+/// Checks that fractions rise to 1.
+#[derive(Default)]
+struct Rising(std::sync::Mutex<Vec<f64>>);
+
+impl Progress for Rising {
+    fn report(&self, fraction: f64, _phase: &str) {
+        self.0.lock().unwrap().push(fraction);
+    }
+
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+#[test]
+fn progress_rises_to_one() {
+    let progress = Rising::default();
+    train(&station(), &options(), &progress).unwrap();
+    let fractions = progress.0.into_inner().unwrap();
+    assert!(fractions.is_sorted() && fractions[0] > 0.0, "{fractions:?}");
+    assert!((fractions.last().unwrap() - 1.0).abs() < 1e-9);
+}
+
+#[test]
+fn a_forecast_reads_nothing_after_its_base_day() {
+    for lead in [0, 1] {
+        let days = station();
+        let forecast = model(lead).forecast(&days, DAY).unwrap();
+        let base = DAY.checked_sub((lead as i64).days()).unwrap();
+        assert_eq!((forecast.base_date, forecast.date, usize::from(forecast.lead)), (base, DAY, lead));
+        let past: Vec<DayRecord> = days.iter().copied().filter(|day| day.date <= base).collect();
+        assert_eq!(model(lead).forecast(&past, DAY).unwrap(), forecast);
+        // no avalanche of the base day or later
+        for activity in [Activity::Observed, Activity::None, Activity::Unknown] {
+            let mut other = days.clone();
+            other.iter_mut().filter(|day| day.date >= base).for_each(|day| day.activity = activity);
+            assert_eq!(model(lead).forecast(&other, DAY).unwrap(), forecast);
+        }
+    }
+}
+
+#[test]
+fn a_forecast_states_its_threshold() {
+    let (days, model) = (station(), model(0));
+    let last_season = days.iter().filter(|day| season_of(day.date) == 2005);
+    let mut seen = [false; 2];
+    for day in last_season {
+        let forecast = model.forecast(&days, day.date).unwrap();
+        assert!((0.0..=1.0).contains(&forecast.probability));
+        assert_eq!(forecast.probability, model.platt.probability(forecast.decision_value));
+        let reached = forecast.probability >= model.threshold;
+        assert_eq!(forecast.category == Category::AvalancheDay, reached);
+        seen[usize::from(reached)] = true;
+    }
+    assert_eq!(seen, [true; 2]);
+}
+
+#[test]
+fn similar_days_add_up_to_the_decision_value() {
+    let (days, model) = (station(), model(0));
+    let forecast = model.forecast(&days, DAY).unwrap();
+    let all = model.similar_days(&days, DAY, usize::MAX).unwrap();
+    let sum: f64 = all.iter().map(|day| day.contribution).sum();
+    assert!((sum - model.machine.rho - forecast.decision_value).abs() < 1e-9);
+    assert!(all.is_sorted_by(|a, b| a.kernel >= b.kernel));
+    assert!(all.iter().all(|day| (day.contribution > 0.0) == day.label && day.kernel > 0.0 && day.kernel <= 1.0));
+    let few = model.similar_days(&days, DAY, 5).unwrap();
+    assert_eq!(few, all[..5]);
+    for day in few {
+        let record = days.iter().find(|record| record.date == day.date).unwrap();
+        assert_eq!(Label::Observed.of(record.activity), Some(day.label));
+    }
+    // a day of the training that became a support vector is most like itself
+    let itself = model.support[model.support.len() / 2].date;
+    let nearest = model.similar_days(&days, itself, 1).unwrap()[0];
+    assert_eq!((nearest.date, nearest.kernel), (itself, 1.0));
+}
+
+#[test]
+fn contributions_are_differences_of_the_decision_value() {
+    let (days, model) = (station(), model(0));
+    let contributions = model.contributions(&days, DAY).unwrap();
+    assert_eq!(contributions.len(), model.features.len());
+    assert!(contributions.is_sorted_by(|a, b| a.contribution.abs() >= b.contribution.abs()));
+    // the machine of a day with that one feature at its mean, from scratch
+    let strongest = &contributions[0];
+    let mut row: Vec<f64> = model
+        .features
+        .iter()
+        .map(|name| contributions.iter().find(|c| &c.feature == name).unwrap().standardised)
+        .collect();
+    let forecast = model.forecast(&days, DAY).unwrap();
+    assert_eq!(model.machine.decision_value(&row), forecast.decision_value);
+    row[model.features.iter().position(|name| *name == strongest.feature).unwrap()] = 0.0;
+    assert_eq!(strongest.contribution, forecast.decision_value - model.machine.decision_value(&row));
+}
+
+#[test]
+fn what_is_missing_or_unheard_of_is_said() {
+    let mut days = station();
+    let today = days.iter().position(|day| day.date == DAY).unwrap();
+    days[today].values[Variable::WindSpeed.index()] = None;
+    days[today].values[Variable::AirTemperature.index()] = Some(30.0);
+    let inputs = model(0).forecast(&days, DAY).unwrap().inputs;
+    assert!(inputs.missing.contains(&"wind_speed".to_owned()), "{inputs:?}");
+    assert!(inputs.imputed.contains(&"wind_speed_t".to_owned()), "{inputs:?}");
+    assert!(inputs.out_of_range.contains(&"air_temperature_t".to_owned()), "{inputs:?}");
+    assert!(!inputs.imputed.contains(&"air_temperature_t".to_owned()));
+}
+
+#[test]
+fn without_an_observation_there_is_no_forecast() {
+    let days = station();
+    let unrecorded = date(2006, 5, 1);
+    assert_eq!(model(0).forecast(&days, unrecorded), Err(ForecastError::NoObservation { date: unrecorded }));
+    let mut silent = days.clone();
+    let today = silent.iter().position(|day| day.date == DAY).unwrap();
+    silent[today] = DayRecord { activity: silent[today].activity, ..DayRecord::empty(DAY) };
+    assert_eq!(model(0).forecast(&silent, DAY), Err(ForecastError::NoObservation { date: DAY }));
+    let tomorrow = date(2006, 2, 11);
+    assert_eq!(model(1).forecast(&silent, tomorrow), Err(ForecastError::NoObservation { date: DAY }));
+    assert_eq!(model(1).forecast(&[], Date::MIN), Err(ForecastError::NoBaseDay { date: Date::MIN, lead: 1 }));
+    let backwards: Vec<DayRecord> = days.into_iter().rev().collect();
+    assert!(matches!(model(0).forecast(&backwards, DAY), Err(ForecastError::Unordered(_))));
+}
+
+#[test]
+fn a_stored_model_says_the_same() {
+    let json = serde_json::to_string(model(0)).unwrap();
+    let stored: TrainedModel = serde_json::from_str(&json).unwrap();
+    assert_eq!(&stored, model(0));
+    assert_eq!(stored.forecast(&station(), DAY), model(0).forecast(&station(), DAY));
+
+    let newer = TrainedModel { feature_set_version: 99, ..stored.clone() };
+    let changed = ForecastError::FeatureSetChanged { stored: 99, current: FeatureSetId::Expert.version() };
+    assert_eq!(newer.forecast(&station(), DAY), Err(changed));
+    let mut damaged = stored;
+    damaged.support.pop();
+    assert_eq!(damaged.similar_days(&station(), DAY, 3), Err(ForecastError::Damaged));
+}
+
+#[test]
+fn json_has_the_promised_names() {
+    let evaluation = serde_json::to_value(&TRAINED[0].evaluation).unwrap();
+    let keys = |value: &serde_json::Value| value.as_object().unwrap().keys().cloned().collect::<Vec<_>>().join(" ");
+    // sorted, as serde_json keeps them here
+    assert_eq!(keys(&evaluation["scores"]), "climatology knn10 knn30 logistic persistence svm");
+    assert_eq!(
+        keys(&evaluation["scores"]["svm"]),
+        "auc bias brier brier_skill contingency csi expected_cost far hss pod pofd pss"
+    );
+    assert_eq!(keys(&evaluation["scores"]["svm"]["contingency"]), "a b c d");
+    assert_eq!(keys(&evaluation["reliability"][0]), "count lower mean_probability observed_frequency upper");
+    assert_eq!(serde_json::from_value::<Evaluation>(evaluation).unwrap(), TRAINED[0].evaluation);
+    assert_eq!(serde_json::to_value(Category::NoAvalancheDay).unwrap(), "no_avalanche_day");
+    let rule = ThresholdRule::CostLoss { ratio: 0.25 };
+    assert_eq!(serde_json::to_string(&rule).unwrap(), r#"{"kind":"cost_loss","ratio":0.25}"#);
+}
+
+/// Constant, absent and enormous columns: a result or an error, never a panic and never NaN.
+#[test]
+fn absurd_values_are_survived() {
+    let mut days = synthetic_station(5, 2000, 4);
+    for (i, day) in days.iter_mut().enumerate() {
+        day.values[Variable::AirTemperature.index()] = Some(if i % 7 == 0 { 1e300 } else { -1e300 });
+        day.values[Variable::WindSpeed.index()] = Some(f64::MAX / (1 + i % 3) as f64);
+        day.values[Variable::CloudCover.index()] = None;
+        day.values[Variable::SnowTemperature.index()] = Some(f64::INFINITY);
+        day.values[Variable::FootPenetration.index()] = Some(4.0);
+    }
+    let options = TrainingOptions { grid: Grid { c: vec![1e-9, 1e9], gamma: vec![1e-12, 1e12] }, ..options() };
+    match train(&days, &options, &Unobserved) {
+        Ok(trained) => assert!(!format!("{trained:?}").contains("NaN")),
+        Err(error) => assert!(matches!(error, TrainingError::Grid(_) | TrainingError::Machine(_)), "{error}"),
+    }
+}
+
+#[test]
+fn a_cost_loss_ratio_is_the_threshold_of_every_model() {
+    let options = TrainingOptions {
+        threshold: ThresholdRule::CostLoss { ratio: 0.3 },
+        kernel: KernelFamily::Linear,
+        grid: Grid { c: vec![0.1], gamma: vec![] },
+        feature_set: FeatureSetId::Raw30,
+        ..options()
+    };
+    let Trained { model, evaluation } = train(&station(), &options, &Unobserved).unwrap();
+    assert_eq!((model.threshold, model.gamma), (0.3, None));
+    assert!(evaluation.per_season.iter().all(|s| s.threshold.named().iter().all(|(_, t)| **t == 0.3)));
+    let table = evaluation.scores.svm.contingency;
+    assert_eq!(evaluation.scores.svm.expected_cost, table.expected_cost(0.3));
+    assert!(table.expected_cost(0.3).unwrap() < evaluation.base_rate, "cheaper than never to warn");
+}
