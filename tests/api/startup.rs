@@ -1,0 +1,92 @@
+//! The server begins, refuses to begin, and ends.
+
+use firn::server::Server;
+use serde_json::json;
+
+use crate::support::{TestApp, app, binary};
+
+#[tokio::test]
+async fn a_running_server_lives_and_is_ready() {
+    let app = TestApp::start().await;
+    for path in ["/livez", "/readyz"] {
+        assert_eq!(app.read(path).await, json!({"status": "ok", "version": env!("CARGO_PKG_VERSION")}));
+    }
+}
+
+#[tokio::test]
+async fn two_servers_do_not_share_their_data() {
+    let app = TestApp::start().await;
+    let config = app::config(app.data_dir());
+    let refused =
+        app::beside_the_servers(async { Server::bind(config).await.err().map(|error| error.to_string()) }).await;
+    let said = refused.expect("the second server must not start");
+    assert!(said.contains("is in use by another firn process"), "{said}");
+
+    let process = binary::run_on(app.data_dir(), &["serve", "--listen", "127.0.0.1:0"]);
+    assert!(!process.status.success());
+    let said = String::from_utf8(process.stderr).unwrap();
+    assert!(said.contains("is in use by another firn process"), "{said}");
+    // the first does not mind
+    app.station("a").await;
+}
+
+#[tokio::test]
+async fn data_outlive_the_server() {
+    let mut app = TestApp::start().await;
+    app.station("a").await;
+    let body = app.read("/v1/stations/a").await;
+    app.begin_to_stop();
+    app.stopped().await;
+    let config = app::config(app.data_dir());
+    let again =
+        app::beside_the_servers(async { Server::bind(config).await.map(|server| server.state().store.clone()) });
+    let store = again.await.expect("the lock is free again");
+    let station = app::beside_the_servers(async move { store.station(&"a".parse().unwrap()).await.unwrap() }).await;
+    assert_eq!(body["created"], station.expect("the station").created.to_string());
+}
+
+#[tokio::test]
+async fn a_stopping_server_is_not_ready_and_takes_no_jobs() {
+    let app = TestApp::start().await;
+    app.state.stopping.cancel();
+    let answer = app.get("/readyz").await;
+    answer.problem("shutting-down");
+    assert_eq!(answer.header("retry-after"), "10");
+    assert_eq!(app.get("/livez").await.status, 200);
+}
+
+#[test]
+fn a_folder_or_file_that_is_not_ours_is_refused() {
+    let data = app::data_dir();
+    let file = data.path().join("firn.db");
+    std::fs::write(&file, "not a database, but longer than a header of one hundred bytes would be".repeat(4)).unwrap();
+    let refused = binary::run_on(data.path(), &["serve", "--listen", "127.0.0.1:0"]);
+    assert!(!refused.status.success());
+    assert!(String::from_utf8(refused.stderr).unwrap().starts_with("firn: "));
+
+    let in_a_file = binary::run_on(&file, &["serve", "--listen", "127.0.0.1:0"]);
+    assert!(!in_a_file.status.success());
+    let said = String::from_utf8(in_a_file.stderr).unwrap();
+    assert!(said.contains("firn.db"), "{said}");
+}
+
+#[test]
+fn a_setting_that_is_not_known_is_refused_by_name() {
+    let data = app::data_dir();
+    let file = data.path().join("firn.toml");
+    std::fs::write(&file, "listne = '127.0.0.1:0'").unwrap();
+    let refused = binary::run_on(data.path(), &["serve", "--config", file.to_str().unwrap()]);
+    assert!(!refused.status.success());
+    let said = String::from_utf8(refused.stderr).unwrap();
+    assert!(said.contains("listne") && said.contains("data_dir"), "{said}");
+}
+
+#[test]
+fn the_contract_can_be_printed_without_a_server() {
+    let printed = binary::run(&["openapi"]);
+    assert!(printed.status.success());
+    let document: serde_json::Value = serde_json::from_slice(&printed.stdout).unwrap();
+    assert!(document["openapi"].as_str().unwrap().starts_with("3.1"), "{}", document["openapi"]);
+    let text = document.to_string();
+    assert!(!text.contains("\"$ref\":\"http"), "a reference to the outside");
+}
