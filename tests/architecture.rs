@@ -1,5 +1,6 @@
 //! The invariants of `src/README.md` that a program can see. Each rule says what to do where it is broken, and is itself
 //! tested on a snippet that breaks it.
+#![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 #[path = "architecture/source.rs"]
 mod source;

@@ -347,6 +347,23 @@ async fn an_export_is_read_with_its_traps() {
 }
 
 #[tokio::test]
+async fn two_profiles_of_one_day_make_one_day() {
+    let app = lochaber().await;
+    let export = format!(
+        "{HEADER},\n\
+         14/02/2007 09:00,Lochaber,,-3.5,230,20,80,1,25,0,2011,40,6,8,2.5,,\n\
+         14/02/2007 14:00,Lochaber,,-1.5,240,20,90,1,25,0,0,40,6,8,2.5,,\n"
+    );
+    let report = app.post(&format!("{DAYS}?format=sais")).body("text/csv", export).await.json(200);
+    let outcomes: Vec<&Value> = report["report"].as_array().unwrap().iter().map(|row| &row["outcome"]).collect();
+    assert_eq!(json!(outcomes), json!(["merged", "created"]));
+    assert_eq!((&report["rows"], &report["created"]), (&json!(2), &json!(1)));
+    // the values of the later profile, the stronger activity
+    let day = app.read(&format!("{DAYS}/2007-02-14")).await;
+    assert_eq!((&day["air_temperature"], &day["avalanche_activity"]), (&json!(-1.5), &json!("observed")));
+}
+
+#[tokio::test]
 async fn a_bad_row_of_an_export_refuses_all_of_it() {
     let app = lochaber().await;
     let before = app.rows().await;

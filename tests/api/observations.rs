@@ -1,5 +1,7 @@
 //! A forecaster records days one by one, corrects them, and reads them back.
 
+use std::future::IntoFuture;
+
 use firn::store::keys::Role;
 use insta::assert_json_snapshot;
 use serde_json::{Value, json};
@@ -342,4 +344,26 @@ async fn what_is_read_as_csv_can_be_sent_in_again() {
     let again = app.import_csv("copy", &csv).await.json(200);
     assert_eq!((&again["unchanged"], &again["updated"]), (&json!(2), &json!(0)));
     assert_eq!(app.rows().await, rows);
+}
+
+#[tokio::test]
+async fn writers_at_the_same_instant_lose_nothing() {
+    let app = lochaber().await;
+    let bodies: Vec<Value> = (0..20).map(|height| json!({"snow_height": height})).collect();
+    let calls: Vec<_> = bodies.iter().map(|body| tokio::spawn(app.put(DAY, body).into_future())).collect();
+    let mut created = 0;
+    for call in calls {
+        let answer = call.await.unwrap();
+        assert!(matches!(answer.status, 200 | 201), "{answer:?}");
+        created += usize::from(answer.status == 201);
+    }
+    assert_eq!(created, 1);
+    let revisions = app.read(&format!("{DAY}/revisions")).await;
+    let revisions = revisions["revisions"].as_array().unwrap();
+    assert!(revisions.iter().zip(1..).all(|(revision, number)| revision["revision"] == number), "{revisions:?}");
+    let mut heights: Vec<i64> =
+        revisions.iter().map(|revision| revision["body"]["snow_height"].as_f64().unwrap() as i64).collect();
+    assert_eq!(app.read(DAY).await["snow_height"], *heights.last().unwrap() as f64);
+    heights.sort_unstable();
+    assert_eq!(heights, (0..20).collect::<Vec<_>>());
 }

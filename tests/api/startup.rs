@@ -90,3 +90,28 @@ fn the_contract_can_be_printed_without_a_server() {
     let text = document.to_string();
     assert!(!text.contains("\"$ref\":\"http"), "a reference to the outside");
 }
+
+#[tokio::test]
+async fn a_fresh_machine_has_something_to_look_at() {
+    let data = app::data_dir();
+    let server = binary::Serving::start(data.path(), &["--demo"]);
+    // the address is told before the demo is made
+    let path = "/v1/jobs?processID=train-model";
+    while server.read(path).await["jobs"] == json!([]) {
+        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+    }
+    let station = server.read("/v1/stations/synthetic").await;
+    assert_eq!(station["synthetic"], true);
+    assert!(station["name"].as_str().unwrap().contains("not a real place"), "{station}");
+    let days = server.read("/v1/stations/synthetic/observations?limit=10000").await;
+    let days = days["observations"].as_array().unwrap();
+    assert!(days.len() > 1000 && days.iter().all(|day| day["synthetic"] == true));
+    drop(server);
+
+    // a second start neither makes the days again nor minds that the training was interrupted
+    let again = binary::Serving::start(data.path(), &["--demo"]);
+    while again.read(path).await["jobs"].as_array().unwrap().len() < 2 {
+        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+    }
+    assert_eq!(again.read("/v1/stations/synthetic").await, station);
+}
