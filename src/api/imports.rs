@@ -220,7 +220,8 @@ fn from_json(bytes: &[u8]) -> Result<Rows, Problem> {
         }
         day => vec![json_row(1, day, "")],
     };
-    Ok(Rows { format: "json", rows: without_repeats(rows), ..Rows::default() })
+    let rows = without_repeats(rows, |row| format!("/{}", row.line.saturating_sub(1)));
+    Ok(Rows { format: "json", rows, ..Rows::default() })
 }
 
 fn json_row(line: u64, value: &Value, prefix: &str) -> Row {
@@ -264,19 +265,20 @@ fn from_ndjson(bytes: &[u8]) -> Rows {
             }
         }
     };
-    let rows = without_repeats(ndjson::lines(bytes).map(row).collect());
+    let rows = without_repeats(ndjson::lines(bytes).map(row).collect(), |row| format!("/{}", row.line));
     Rows { format: "ndjson", rows, ..Rows::default() }
 }
 
-/// Refuses a row that repeats the day of an accepted one: which of the two is meant cannot be told.
-fn without_repeats(mut rows: Vec<Row>) -> Vec<Row> {
+/// Refuses a row that repeats the day of an accepted one: which of the two is meant cannot be told. `pointer` is where a
+/// row stands in the body: the position in an array counts from 0, the line of a file from 1.
+fn without_repeats(mut rows: Vec<Row>, pointer: impl Fn(&Row) -> String) -> Vec<Row> {
     let mut first: HashMap<civil::Date, u64> = HashMap::new();
     for row in &mut rows {
         let Ok((write, _)) = &row.outcome else { continue };
         let line = *first.entry(write.date).or_insert(row.line);
         if line != row.line {
             let detail = format!("{} is also row {line}: send a day once", write.date);
-            row.outcome = Err(vec![FieldError::new(format!("/{}/date", row.line), "duplicate_day", detail)]);
+            row.outcome = Err(vec![FieldError::new(format!("{}/date", pointer(row)), "duplicate_day", detail)]);
         }
     }
     rows

@@ -59,6 +59,10 @@ impl MediaType {
     }
 }
 
+/// The limit of the router, bytes, for the words of a refusal.
+#[derive(Clone, Copy, Debug)]
+pub struct BodyLimit(pub usize);
+
 /// A whole body within the limit of the router.
 #[derive(Debug)]
 pub struct Body(pub Bytes);
@@ -68,8 +72,9 @@ impl<S: Send + Sync> FromRequest<S> for Body {
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Self::Rejection> {
         uncompressed(request.headers())?;
+        let limit = request.extensions().get::<BodyLimit>().copied();
         let read = Bytes::from_request(request, state).await;
-        read.map(Self).map_err(|rejection| ApiError(unreadable(&rejection)))
+        read.map(Self).map_err(|rejection| ApiError(unreadable(&rejection, limit)))
     }
 }
 
@@ -84,9 +89,11 @@ fn uncompressed(headers: &HeaderMap) -> Result<(), Problem> {
     Err(Problem::new(Code::UnsupportedMediaType, detail))
 }
 
-fn unreadable(rejection: &BytesRejection) -> Problem {
+fn unreadable(rejection: &BytesRejection, limit: Option<BodyLimit>) -> Problem {
     if rejection.status() == StatusCode::PAYLOAD_TOO_LARGE {
-        Problem::new(Code::PayloadTooLarge, "the body exceeds the limit of this service (setting max_body_mib)")
+        let limit = limit.map_or_else(String::new, |limit| format!(" of {} bytes", limit.0));
+        let detail = format!("the body exceeds the limit{limit} of this service (setting max_body_mib)");
+        Problem::new(Code::PayloadTooLarge, detail)
     } else {
         Problem::new(Code::InvalidHeader, format!("the body could not be read: {}", rejection.body_text()))
     }
