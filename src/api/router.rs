@@ -22,7 +22,8 @@ use utoipa::OpenApi;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    AppState, auth, avalanches, docs, feature_sets, forecasts, health, imports, job_history, job_results, jobs, landing, models, observations,
+    AppState, auth, avalanches, docs, extract::BodyLimit, feature_sets, forecasts, health, imports, job_history,
+    job_results, jobs, landing, models, observations,
     openapi,
     problem::{ApiError, REQUEST_ID, from_panic},
     processes, stations,
@@ -90,6 +91,7 @@ pub fn document() -> utoipa::openapi::OpenApi {
 /// The whole service.
 pub fn router(state: AppState) -> Router {
     let (router, _) = routes().split_for_parts();
+    let router = router.merge(crate::web::router());
     let limits = ServiceBuilder::new()
         .layer(HandleErrorLayer::new(limit_reached))
         .load_shed()
@@ -101,6 +103,7 @@ pub fn router(state: AppState) -> Router {
         .layer(middleware::from_fn_with_state(state.clone(), auth::authenticate))
         .layer(CsrfLayer::new().with_rejection_response(cross_origin))
         .layer(DefaultBodyLimit::max(state.config.max_body_bytes))
+        .layer(axum::Extension(BodyLimit(state.config.max_body_bytes)))
         .layer(limits)
         .layer(CatchPanicLayer::custom(from_panic))
         .layer(CompressionLayer::new())

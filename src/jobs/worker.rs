@@ -121,6 +121,8 @@ impl Worker {
     async fn slot(self) {
         loop {
             let next = tokio::select! {
+                // a slot that the end of a paused job frees must not take another
+                biased;
                 () = self.0.stopping.cancelled() => return,
                 next = self.0.engine.next() => next,
             };
