@@ -344,8 +344,9 @@ pub async fn list_similar_days(
     let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
     let history = speaker.history(&state, path.date.0, path.date.0).await?;
     let count = Limit::or_default(query.limit) as usize;
-    let similar_days = match speaker.model.similar_days(&history, path.date.0, count) {
-        Ok(days) => days,
+    let similar_days = match speaker.model.similar_days(&history, path.date.0, count + 1) {
+        // a day that was in the training is most like itself, which tells nobody anything
+        Ok(days) => days.into_iter().filter(|day| day.date != path.date.0).take(count).collect(),
         Err(error) => return Err(speaker.refuse(&state, error).await?.into()),
     };
     let answer = SimilarDays {
