@@ -41,6 +41,13 @@ pub struct Settings {
     /// Jobs that may wait; more are refused with 503 [default: 10000]
     #[arg(long, env = "FIRN_MAX_QUEUE", value_name = "N")]
     pub max_queue: Option<u32>,
+    /// What carries jobs to workers: `local` (in this process) or the address of a NATS server with JetStream, such as
+    /// nats://127.0.0.1:4222 [default: local]
+    #[arg(long, env = "FIRN_ENGINE", value_name = "ENGINE")]
+    pub engine: Option<EngineAddress>,
+    /// Seconds that a worker on another machine may be silent before its job is given to another [default: 30]
+    #[arg(long, env = "FIRN_LEASE_S", value_name = "S", value_parser = clap::value_parser!(u64).range(1..=3600))]
+    pub lease_s: Option<u64>,
     /// Days that ended jobs are kept [default: 90]
     #[arg(long, env = "FIRN_KEEP_JOBS_DAYS", value_name = "DAYS")]
     pub keep_jobs_days: Option<u32>,
@@ -56,6 +63,36 @@ pub struct Settings {
     /// What to log, as `level` or `target=level,...` [default: info]
     #[arg(long, env = "FIRN_LOG", value_name = "FILTER")]
     pub log: Option<String>,
+}
+
+/// What carries jobs to workers.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "String")]
+pub enum EngineAddress {
+    /// A queue in this process.
+    Local,
+    /// A NATS server.
+    Nats(String),
+}
+
+impl std::str::FromStr for EngineAddress {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text {
+            "local" => Ok(Self::Local),
+            address if address.starts_with("nats://") || address.starts_with("tls://") => Ok(Self::Nats(address.into())),
+            _ => Err("must be `local` or the address of a NATS server: nats://HOST:PORT or tls://HOST:PORT"),
+        }
+    }
+}
+
+impl TryFrom<String> for EngineAddress {
+    type Error = &'static str;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse()
+    }
 }
 
 /// How log lines look.
@@ -89,6 +126,10 @@ pub struct Config {
     pub job_slots: usize,
     /// Jobs that may wait.
     pub max_queue: u32,
+    /// What carries jobs to workers.
+    pub engine: EngineAddress,
+    /// How long a worker may be silent.
+    pub lease: Duration,
     /// Days that ended jobs are kept.
     pub keep_jobs_days: u32,
     /// Bytes that ended jobs may need before the oldest go.
@@ -148,6 +189,8 @@ impl Settings {
             compute_threads: self.compute_threads.or(file.compute_threads).map_or(cores, NonZeroUsize::get),
             job_slots: self.job_slots.or(file.job_slots).map_or(2, NonZeroUsize::get),
             max_queue: self.max_queue.or(file.max_queue).unwrap_or(10_000),
+            engine: self.engine.or(file.engine).unwrap_or(EngineAddress::Local),
+            lease: Duration::from_secs(self.lease_s.or(file.lease_s).unwrap_or(30)),
             keep_jobs_days: self.keep_jobs_days.or(file.keep_jobs_days).unwrap_or(90),
             keep_jobs_bytes: self.keep_jobs_mib.or(file.keep_jobs_mib).unwrap_or(20 * 1024).saturating_mul(1024 * 1024),
             shutdown_timeout: Duration::from_secs(self.shutdown_timeout_s.or(file.shutdown_timeout_s).unwrap_or(20)),

@@ -6,9 +6,10 @@ use clap::{Args, Parser, Subcommand};
 use firn::{
     api::openapi,
     clock,
-    config::Settings,
+    config::{EngineAddress, Settings},
     demo,
-    server::{Server, ServerError},
+    jobs::worker::WorkerOptions,
+    server::{self, Server, ServerError},
     shutdown,
     store::{Store, keys::Role},
     telemetry,
@@ -26,6 +27,8 @@ struct Cli {
 enum Command {
     /// Serve the API and the pages
     Serve(Box<Serve>),
+    /// Compute jobs for a server on another machine, over NATS
+    Worker(Box<Work>),
     /// Make, list and revoke the keys of the API
     #[command(subcommand)]
     Key(Key),
@@ -43,6 +46,15 @@ struct Serve {
     /// Add a synthetic station with a trained model, so that there is something to look at
     #[arg(long)]
     demo: bool,
+}
+
+#[derive(Args)]
+struct Work {
+    #[command(flatten)]
+    settings: Settings,
+    /// What the worker is called in the record of its jobs [default: host name and process id]
+    #[arg(long, env = "FIRN_WORKER_NAME", value_name = "NAME")]
+    name: Option<String>,
 }
 
 #[derive(Subcommand)]
@@ -89,6 +101,7 @@ fn main() -> ExitCode {
     let cli = Cli::parse();
     let result = match cli.command {
         Command::Serve(serve) => block_on(run_server(*serve)),
+        Command::Worker(work) => block_on(run_worker(*work)),
         Command::Key(key) => block_on(run_key(key)),
         Command::Openapi => {
             print(openapi::text().trim_end());
@@ -129,6 +142,20 @@ async fn run_server(serve: Serve) -> Result<(), ServerError> {
         demo::start(server.state(), address).await?;
     }
     server.run(stop).await
+}
+
+async fn run_worker(work: Work) -> Result<(), ServerError> {
+    let config = work.settings.over(Settings::default());
+    let EngineAddress::Nats(address) = &config.engine else {
+        return Err("a worker needs --engine nats://HOST:PORT; without it `firn serve` computes by itself".into());
+    };
+    telemetry::init(&config.log, config.log_format)?;
+    let stop = shutdown::on_signal()?;
+    let host = std::env::var("HOSTNAME").unwrap_or_else(|_| "worker".into());
+    let name = work.name.unwrap_or_else(|| format!("{host}-{}", std::process::id()));
+    let options = WorkerOptions { name, threads: config.compute_threads, slots: config.job_slots };
+    tracing::info!(name = options.name, slots = options.slots, "firn works for {address}");
+    server::work(address, config.lease, options, config.shutdown_timeout, stop).await
 }
 
 async fn run_key(command: Key) -> Result<(), ServerError> {

@@ -1,18 +1,19 @@
 //! The server as a whole: from settings to a listening socket, and back to a clean end.
 
-use std::{net::SocketAddr, sync::Arc};
+use std::{net::SocketAddr, sync::Arc, time::Duration};
 
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 use crate::{
     api::{self, AppState, auth},
-    config::Config,
+    config::{Config, EngineAddress},
     jobs::{
         Desk,
         artifacts::Artifacts,
         caretaker::{self, Keep},
-        engine::{Engine, local::Local},
+        engine::{Engine, local::Local, nats::Nats},
+        nats_link::{self, NatsLink},
         worker::{Worker, WorkerOptions},
     },
     store::{self, Store},
@@ -25,7 +26,10 @@ pub type ServerError = Box<dyn std::error::Error + Send + Sync>;
 pub struct Server {
     listener: TcpListener,
     state: AppState,
-    worker: Worker,
+    // in this process, where the engine is the local one
+    worker: Option<Worker>,
+    // over which workers on other machines ask, where it is not
+    questions: Option<async_nats::Client>,
     // held to the end: no second server may work on the same data
     _lock: std::fs::File,
 }
@@ -43,15 +47,27 @@ impl Server {
         let listener = TcpListener::bind(config.listen)
             .await
             .map_err(|error| format!("{} cannot be listened on: {error}", config.listen))?;
-        let engine: Arc<dyn Engine> = Arc::new(Local::default());
         let artifacts = Artifacts::folder(&config.data_dir.join("artifacts"))?;
-        let desk = Desk::new(store.clone(), Arc::clone(&engine), artifacts, config.max_queue);
-        caretaker::take_up(&desk, true).await?;
-        let options =
-            WorkerOptions { name: "local".into(), threads: config.compute_threads, slots: config.job_slots };
-        let worker = Worker::start(engine, Arc::new(desk.clone()), options)?;
+        let (desk, worker, questions) = match &config.engine {
+            EngineAddress::Local => {
+                let engine: Arc<dyn Engine> = Arc::new(Local::default());
+                let desk = Desk::new(store.clone(), Arc::clone(&engine), artifacts, config.max_queue);
+                caretaker::take_up(&desk, true).await?;
+                let options =
+                    WorkerOptions { name: "local".into(), threads: config.compute_threads, slots: config.job_slots };
+                let worker = Worker::start(engine, Arc::new(desk.clone()), options)?;
+                (desk, Some(worker), None)
+            }
+            EngineAddress::Nats(address) => {
+                let engine = Nats::connect(address, config.lease).await?;
+                let client = engine.client();
+                let desk = Desk::new(store.clone(), Arc::new(engine), artifacts, config.max_queue);
+                caretaker::take_up(&desk, false).await?;
+                (desk, None, Some(client))
+            }
+        };
         let state = AppState { store, desk, config: Arc::new(config), stopping: CancellationToken::new() };
-        Ok(Self { listener, state, worker, _lock: lock })
+        Ok(Self { listener, state, worker, questions, _lock: lock })
     }
 
     /// The address that it listens on; with port 0 the system chose one.
@@ -74,9 +90,12 @@ impl Server {
     /// # Errors
     /// Where the socket fails.
     pub async fn run(self, stop: CancellationToken) -> Result<(), ServerError> {
-        let Self { listener, state, worker, _lock } = self;
+        let Self { listener, state, worker, questions, _lock } = self;
         let keep = Keep { days: state.config.keep_jobs_days, bytes: state.config.keep_jobs_bytes };
         let caretaker = tokio::spawn(caretaker::run(state.desk.clone(), keep, stop.clone()));
+        if let Some(client) = questions {
+            tokio::spawn(answer_workers(client, state.desk.clone(), stop.clone()));
+        }
         let deadline = state.config.shutdown_timeout;
         let router = api::router(state.clone());
         let drained = CancellationToken::new();
@@ -99,7 +118,12 @@ impl Server {
             // side by side, so that both together keep the deadline; clients that hold a connection open must not hold
             // the process
             let answered = tokio::time::timeout(deadline, drained.cancelled());
-            let ((), _) = tokio::join!(worker.stop(deadline), answered);
+            let work = async {
+                if let Some(worker) = &worker {
+                    worker.stop(deadline).await;
+                }
+            };
+            let ((), _) = tokio::join!(work, answered);
         };
         tokio::pin!(give_up);
         tokio::select! {
@@ -115,6 +139,36 @@ impl Server {
         tracing::info!("stopped");
         Ok(())
     }
+}
+
+/// Answers workers on other machines as long as the server lives, whatever becomes of the connection.
+async fn answer_workers(client: async_nats::Client, desk: Desk, stop: CancellationToken) {
+    while !stop.is_cancelled() {
+        if let Err(error) = nats_link::serve(client.clone(), desk.clone(), stop.clone()).await {
+            tracing::error!(%error, "workers are not heard; trying again");
+            tokio::time::sleep(Duration::from_secs(1)).await;
+        }
+    }
+}
+
+/// Takes jobs of the desk behind a NATS server until `stop`: what `firn worker` does.
+///
+/// # Errors
+/// Where the NATS server does not answer, or the system gives no threads.
+pub async fn work(
+    address: &str,
+    lease: Duration,
+    options: WorkerOptions,
+    deadline: Duration,
+    stop: CancellationToken,
+) -> Result<(), ServerError> {
+    let engine = Nats::connect(address, lease).await?;
+    let link = NatsLink::new(engine.client());
+    let worker = Worker::start(Arc::new(engine), Arc::new(link), options)?;
+    stop.cancelled().await;
+    worker.stop(deadline).await;
+    tracing::info!(fenced = worker.fenced_results(), "stopped");
+    Ok(())
 }
 
 /// An address that others can reach needs a key, or the operator's word that it does not.

@@ -37,5 +37,9 @@ pub async fn readyz(State(state): State<AppState>) -> ApiResult<Json<Health>> {
         tracing::error!(%error, "the database cannot be written");
         Problem::new(Code::NotReady, "the database cannot be written")
     })?;
+    if let Err(error) = state.desk.engine().check().await {
+        tracing::error!(%error, "the engine does not answer");
+        return Err(Problem::new(Code::NotReady, "the job engine does not answer").into());
+    }
     Ok(Json(OK))
 }

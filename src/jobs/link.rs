@@ -20,8 +20,10 @@ pub enum Assignment {
         /// The job, with the number of this attempt.
         job: Box<Job>,
         /// Everything that the process needs.
+        #[serde(with = "serde_bytes")]
         payload: Vec<u8>,
         /// What an earlier attempt saved last.
+        #[serde(with = "serde_bytes")]
         checkpoint: Option<Vec<u8>>,
     },
     /// Another worker has it.
@@ -69,6 +71,7 @@ pub struct Artifact {
     /// Its media type.
     pub media_type: String,
     /// Its bytes.
+    #[serde(with = "serde_bytes")]
     pub bytes: Vec<u8>,
 }
 

@@ -11,6 +11,7 @@ pub mod control;
 pub mod desk;
 pub mod engine;
 pub mod link;
+pub mod nats_link;
 pub mod processes;
 pub mod worker;
 

@@ -2,6 +2,7 @@
 //! late, and the row of the job decides what is true.
 
 pub mod local;
+pub mod nats;
 
 use std::{pin::Pin, time::Duration};
 

@@ -1,0 +1,227 @@
+//! NATS JetStream as the engine: tickets in a work queue on disk, one subject a priority, a lease a ticket.
+//!
+//! The queue may lose, double or delay a ticket: the row of the job decides, and the caretaker issues lost ones again.
+
+use std::time::Duration;
+
+use async_nats::{
+    Client,
+    jetstream::{
+        self, AckKind, Context, Message,
+        consumer::{AckPolicy, PullConsumer, pull},
+        context::PublishAckFuture,
+        message::PublishMessage,
+        stream::{self, DiscardPolicy, RetentionPolicy, StorageType},
+    },
+};
+use futures_util::StreamExt;
+use tokio::sync::RwLock;
+
+use super::{Boxed, Engine, EngineError, Lease, Ticket};
+use crate::domain::job::Priority;
+
+/// Name of the stream of tickets.
+const STREAM: &str = "FIRN_TICKETS";
+
+/// Tickets go to `firn.tickets.<priority>`.
+const SUBJECT: &str = "firn.tickets";
+
+/// A word on this subject tells idle workers to look: a queue a priority cannot be waited for in one request.
+const WAKE: &str = "firn.wake";
+
+/// How long an idle worker sleeps at most where a wake-up was lost.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+/// A ticket that is published again within this time is one ticket.
+const DUPLICATE_WINDOW: Duration = Duration::from_secs(10);
+
+/// Deliveries of one ticket; the desk ends a poison job long before.
+const MOST_DELIVERIES: i64 = 1000;
+
+/// Tickets over NATS JetStream.
+pub struct Nats {
+    client: Client,
+    context: Context,
+    lease: Duration,
+    // most urgent first; made again where the server lost them
+    queues: RwLock<Vec<PullConsumer>>,
+}
+
+fn failed(error: impl std::fmt::Display) -> EngineError {
+    EngineError(error.to_string())
+}
+
+impl Nats {
+    /// Connects and makes the stream and its consumers where they are not there.
+    ///
+    /// # Errors
+    /// [`EngineError`] where the server does not answer or refuses.
+    pub async fn connect(url: &str, lease: Duration) -> Result<Self, EngineError> {
+        let client = async_nats::ConnectOptions::new()
+            .name("firn")
+            .connection_timeout(Duration::from_secs(5))
+            .request_timeout(Some(Duration::from_secs(5)))
+            .connect(url)
+            .await
+            .map_err(failed)?;
+        let mut context = jetstream::new(client.clone());
+        context.set_timeout(Duration::from_secs(5));
+        let engine = Self { client, context, lease, queues: RwLock::default() };
+        engine.prepare().await?;
+        Ok(engine)
+    }
+
+    /// The connection, for whoever else speaks over it.
+    #[must_use]
+    pub fn client(&self) -> Client {
+        self.client.clone()
+    }
+
+    async fn prepare(&self) -> Result<(), EngineError> {
+        let config = stream::Config {
+            name: STREAM.into(),
+            subjects: vec![format!("{SUBJECT}.*")],
+            retention: RetentionPolicy::WorkQueue,
+            storage: StorageType::File,
+            discard: DiscardPolicy::New,
+            duplicate_window: DUPLICATE_WINDOW,
+            ..stream::Config::default()
+        };
+        let stream = self.context.get_or_create_stream(config).await.map_err(failed)?;
+        let mut queues = Vec::new();
+        for priority in (0..=Priority::MAX).rev() {
+            let name = format!("priority-{priority}");
+            let config = pull::Config {
+                durable_name: Some(name.clone()),
+                filter_subject: format!("{SUBJECT}.{priority}"),
+                ack_policy: AckPolicy::Explicit,
+                ack_wait: self.lease,
+                max_deliver: MOST_DELIVERIES,
+                max_ack_pending: 100_000,
+                ..pull::Config::default()
+            };
+            queues.push(stream.get_or_create_consumer(&name, config).await.map_err(failed)?);
+        }
+        *self.queues.write().await = queues;
+        Ok(())
+    }
+
+    /// One ticket, if any waits, the most urgent first.
+    async fn take(&self) -> Result<Option<Message>, EngineError> {
+        let queues = self.queues.read().await;
+        for queue in queues.iter() {
+            let mut batch = queue.fetch().max_messages(1).messages().await.map_err(failed)?;
+            if let Some(message) = batch.next().await {
+                return message.map(Some).map_err(failed);
+            }
+        }
+        Ok(None)
+    }
+
+    async fn issue(&self, ticket: &Ticket) -> Result<PublishAckFuture, EngineError> {
+        let body = serde_json::to_vec(ticket).map_err(failed)?;
+        let publish = PublishMessage::build()
+            .payload(body.into())
+            .message_id(format!("{}.{}", ticket.job, ticket.attempt));
+        self.context.send_publish(format!("{SUBJECT}.{}", ticket.priority), publish).await.map_err(failed)
+    }
+
+    async fn publish_all(&self, tickets: &[Ticket]) -> Result<(), EngineError> {
+        let mut waiting = Vec::with_capacity(tickets.len());
+        for ticket in tickets {
+            waiting.push(self.issue(ticket).await?);
+        }
+        for answer in waiting {
+            answer.await.map_err(failed)?;
+        }
+        self.client.publish(WAKE, "".into()).await.map_err(failed)
+    }
+
+    async fn wait(&self) -> Result<Box<dyn Lease>, EngineError> {
+        let mut wake = self.client.subscribe(WAKE).await.map_err(failed)?;
+        loop {
+            if let Some(message) = self.take().await? {
+                match serde_json::from_slice(&message.payload) {
+                    Ok(ticket) => return Ok(Box::new(NatsLease { ticket, message })),
+                    Err(error) => {
+                        tracing::error!(%error, "a ticket that nobody can read was thrown away");
+                        message.ack_with(AckKind::Term).await.map_err(failed)?;
+                    }
+                }
+            } else {
+                // whether it was woken or not, it looks again
+                let _ = tokio::time::timeout(LOOK_EVERY, wake.next()).await;
+            }
+        }
+    }
+}
+
+impl Engine for Nats {
+    fn publish<'a>(&'a self, tickets: &'a [Ticket]) -> Boxed<'a, Result<(), EngineError>> {
+        Box::pin(async move {
+            if self.publish_all(tickets).await.is_err() {
+                // the server may have lost its store: make the queue anew and try once more
+                self.prepare().await?;
+                self.publish_all(tickets).await?;
+            }
+            Ok(())
+        })
+    }
+
+    fn next(&self) -> Boxed<'_, Result<Box<dyn Lease>, EngineError>> {
+        Box::pin(async {
+            match self.wait().await {
+                Ok(lease) => Ok(lease),
+                Err(error) => {
+                    self.prepare().await?;
+                    Err(error)
+                }
+            }
+        })
+    }
+
+    fn lease(&self) -> Duration {
+        self.lease
+    }
+
+    fn check(&self) -> Boxed<'_, Result<(), EngineError>> {
+        Box::pin(async {
+            match self.client.connection_state() {
+                async_nats::connection::State::Connected => Ok(()),
+                state => Err(EngineError(format!("the connection to NATS is {state:?}"))),
+            }
+        })
+    }
+}
+
+struct NatsLease {
+    ticket: Ticket,
+    message: Message,
+}
+
+impl NatsLease {
+    /// An acknowledgement that is lost costs a second delivery, which the desk turns away.
+    async fn say(&self, kind: AckKind) {
+        if let Err(error) = self.message.ack_with(kind).await {
+            tracing::warn!(job = %self.ticket.job, %error, "a ticket could not be acknowledged");
+        }
+    }
+}
+
+impl Lease for NatsLease {
+    fn ticket(&self) -> Ticket {
+        self.ticket
+    }
+
+    fn extend(&self) -> Boxed<'_, Result<(), EngineError>> {
+        Box::pin(async { self.message.ack_with(AckKind::Progress).await.map_err(failed) })
+    }
+
+    fn done(self: Box<Self>) -> Boxed<'static, ()> {
+        Box::pin(async move { self.say(AckKind::Ack).await })
+    }
+
+    fn put_back(self: Box<Self>, delay: Duration) -> Boxed<'static, ()> {
+        Box::pin(async move { self.say(AckKind::Nak(Some(delay).filter(|delay| !delay.is_zero()))).await })
+    }
+}
