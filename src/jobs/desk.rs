@@ -161,18 +161,6 @@ impl Desk {
         let Some(reservation) = submission.reservation.clone() else {
             return self.accept(submission, render).await;
         };
-        match self.0.store.hold_key(&reservation, clock::now()).await.map_err(Problem::internal)? {
-            Held::Answered(answer) => return Ok(Submitted::Repeated(answer)),
-            Held::AtWork => {
-                let detail = "the same request with this Idempotency-Key is being accepted; repeat it in a moment";
-                return Err(Problem::new(Code::RequestAtWork, detail));
-            }
-            Held::OtherRequest => {
-                let detail = "this Idempotency-Key was sent with another request; use a new key for a new request";
-                return Err(Problem::new(Code::KeyReused, detail));
-            }
-            Held::New => {}
-        }
         // to its end even where the caller hangs up meanwhile: a key that nobody lets go of would be at work for ever
         let desk = self.clone();
         let work = tokio::spawn(async move { desk.accept_under(&reservation, submission, render).await });
@@ -185,6 +173,18 @@ impl Desk {
         submission: Submission,
         render: impl FnOnce(&Job) -> Answer,
     ) -> Result<Submitted, Problem> {
+        match self.0.store.hold_key(reservation, clock::now()).await.map_err(Problem::internal)? {
+            Held::Answered(answer) => return Ok(Submitted::Repeated(answer)),
+            Held::AtWork => {
+                let detail = "the same request with this Idempotency-Key is being accepted; repeat it in a moment";
+                return Err(Problem::new(Code::RequestAtWork, detail));
+            }
+            Held::OtherRequest => {
+                let detail = "this Idempotency-Key was sent with another request; use a new key for a new request";
+                return Err(Problem::new(Code::KeyReused, detail));
+            }
+            Held::New => {}
+        }
         let result = self.accept(submission, render).await;
         if !matches!(result, Ok(Submitted::New(_))) {
             // a refusal is not remembered, so that the mended request may use the key; a reused job is found again anyway

@@ -1,0 +1,303 @@
+//! What every engine must keep, tried on each of them.
+
+use std::{collections::HashSet, time::Duration};
+
+use firn::{
+    domain::job::{Job, Report, Status},
+    jobs::link::{Assignment, Delivery, Output, Part, Verdict},
+};
+use serde_json::json;
+use uuid::Uuid;
+
+use crate::rig::Rig;
+
+macro_rules! contract {
+    ($($name:ident, lease $lease_ms:literal ms;)+) => {
+        mod local {
+            $(#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+            async fn $name() {
+                super::$name(super::Rig::local(super::Duration::from_millis($lease_ms)).await).await;
+            })+
+        }
+
+        mod nats {
+            $(#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+            async fn $name() {
+                if let Some(rig) = super::Rig::nats(super::Duration::from_millis($lease_ms)).await {
+                    super::$name(rig).await;
+                }
+            })+
+        }
+    };
+}
+
+contract! {
+    every_accepted_job_ends_once, lease 10_000 ms;
+    urgent_jobs_come_first_and_equals_in_their_order, lease 10_000 ms;
+    a_lease_outlives_a_job_of_many_lease_times, lease 1_500 ms;
+    an_attempt_that_was_taken_over_can_write_nothing, lease 1_000 ms;
+    a_job_that_loses_every_worker_is_failed, lease 1_000 ms;
+    a_lost_attempt_is_repeated_from_its_checkpoint, lease 1_000 ms;
+    a_dismissed_job_frees_its_slot_within_a_second, lease 10_000 ms;
+    progress_never_falls_within_an_attempt, lease 10_000 ms;
+    nothing_is_fetched_ahead_of_free_slots, lease 10_000 ms;
+    a_worker_that_stops_gives_back_what_it_holds, lease 10_000 ms;
+    children_run_side_by_side_and_their_parent_is_put_together, lease 10_000 ms;
+    a_lost_last_child_frees_its_parent, lease 500 ms;
+}
+
+/// Claims a job as a worker would; panics where it cannot be had.
+async fn claim(rig: &Rig, id: Uuid, worker: &str) -> (Job, Option<Vec<u8>>) {
+    for _ in 0..40 {
+        match rig.link.claim(id, worker).await {
+            Ok(Assignment::Taken { job, checkpoint, .. }) => return (*job, checkpoint),
+            Ok(Assignment::Over) => panic!("{id} is over"),
+            // the lease of the one before has not ended, or the desk listens only now
+            Ok(Assignment::Busy) | Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
+        }
+    }
+    panic!("{id} is busy");
+}
+
+fn result(message: &str) -> Delivery {
+    Delivery::Finished(Output { results: json!({"message": message}), ..Output::default() })
+}
+
+async fn every_accepted_job_ends_once(rig: Rig) {
+    let workers = [rig.worker("a", 2), rig.worker("b", 2)];
+    let mut ids = Vec::new();
+    for number in 0..40 {
+        let inputs = json!({"message": number.to_string(), "delay_s": 0.02, "fail": number % 10 == 9});
+        ids.push(rig.submit(inputs, 5).await);
+    }
+    for (number, id) in ids.iter().enumerate() {
+        let job = rig.ended(*id).await;
+        assert_eq!(job.attempt, 1, "{job:?}");
+        if number % 10 == 9 {
+            assert_eq!(job.status, Status::Failed);
+            assert_eq!(job.exception.unwrap().code, "job-failed");
+        } else {
+            assert_eq!(job.status, Status::Successful);
+            let results = rig.store.job_results(*id).await.unwrap();
+            assert_eq!(results, Some(json!({"message": number.to_string()})));
+        }
+        let ends = rig.store.job_events(*id, 0).await.unwrap();
+        let ends = ends.iter().filter(|event| ["successful", "failed"].iter().any(|end| event.body["status"] == *end));
+        assert_eq!(ends.count(), 1);
+    }
+    assert_eq!(rig.desk.fenced_writes(), 0);
+    for worker in workers {
+        worker.stop(Duration::from_secs(5)).await;
+    }
+}
+
+async fn urgent_jobs_come_first_and_equals_in_their_order(rig: Rig) {
+    let mut expected = Vec::new();
+    for (number, priority) in [5, 0, 9, 5, 9, 5, 1].into_iter().enumerate() {
+        expected.push((std::cmp::Reverse(priority), rig.submit(json!({"message": number.to_string()}), priority).await));
+    }
+    let worker = rig.worker("one", 1);
+    for (_, id) in &expected {
+        rig.ended(*id).await;
+    }
+    let mut jobs = rig.jobs().await;
+    jobs.sort_by_key(|job| job.started);
+    let order: Vec<Uuid> = jobs.into_iter().map(|job| job.id).collect();
+    // ids are ordered in time
+    expected.sort();
+    assert_eq!(order, expected.into_iter().map(|(_, id)| id).collect::<Vec<_>>());
+    worker.stop(Duration::from_secs(5)).await;
+}
+
+async fn a_lease_outlives_a_job_of_many_lease_times(rig: Rig) {
+    let id = rig.submit(json!({"message": "long", "delay_s": 6}), 5).await;
+    // one of them has nothing to do but to take over
+    let workers = [rig.worker("a", 1), rig.worker("b", 1)];
+    let job = rig.ended(id).await;
+    assert_eq!((job.status, job.attempt), (Status::Successful, 1), "{job:?}");
+    assert_eq!(rig.desk.fenced_writes(), 0);
+    for worker in workers {
+        worker.stop(Duration::from_secs(5)).await;
+    }
+}
+
+async fn an_attempt_that_was_taken_over_can_write_nothing(rig: Rig) {
+    let id = rig.submit(json!({"message": "a"}), 5).await;
+    let (zombie, _) = claim(&rig, id, "zombie").await;
+    assert!(matches!(rig.link.claim(id, "heir").await.unwrap(), Assignment::Busy), "the lease holds");
+    let (heir, _) = claim(&rig, id, "heir").await;
+    assert_eq!((zombie.attempt, heir.attempt), (1, 2));
+
+    let before = rig.job(id).await;
+    let half = Report { percent: 50, phase: "half".into(), ..Report::default() };
+    assert_eq!(rig.link.beat(id, 1, &half).await.unwrap(), Verdict::Fenced);
+    assert_eq!(rig.link.checkpoint(id, 1, &[1]).await.unwrap(), Verdict::Fenced);
+    assert_eq!(rig.link.release(id, 1, 10).await.unwrap(), Verdict::Fenced);
+    assert_eq!(rig.link.finish(id, 1, &result("of the zombie"), 10).await.unwrap(), Verdict::Fenced);
+    assert_eq!(rig.job(id).await, before);
+    assert_eq!(rig.desk.fenced_writes(), 4);
+
+    assert_eq!(rig.link.finish(id, 2, &result("of the heir"), 10).await.unwrap(), Verdict::Counts);
+    assert_eq!(rig.link.finish(id, 2, &result("twice"), 10).await.unwrap(), Verdict::Fenced);
+    assert_eq!(rig.link.finish(id, 1, &result("too late"), 10).await.unwrap(), Verdict::Fenced);
+    assert_eq!(rig.store.job_results(id).await.unwrap(), Some(json!({"message": "of the heir"})));
+    assert_eq!(rig.desk.fenced_writes(), 6);
+    assert!(matches!(rig.link.claim(id, "third").await.unwrap(), Assignment::Over));
+}
+
+async fn a_job_that_loses_every_worker_is_failed(rig: Rig) {
+    let id = rig.submit(json!({"message": "poison"}), 5).await;
+    for attempt in 1..=5 {
+        assert_eq!(claim(&rig, id, "doomed").await.0.attempt, attempt);
+    }
+    // whoever looks at it once the last lease has ended ends it: here the tickets that a worker gets
+    let worker = rig.worker("next", 1);
+    let job = rig.ended(id).await;
+    assert_eq!((job.status, job.attempt), (Status::Failed, 5));
+    assert_eq!(job.exception.unwrap().code, "crashed-repeatedly");
+    let log = rig.store.job_log(id).await.unwrap();
+    assert_eq!(log.iter().filter(|line| line.level == "warn").count(), 4, "{log:?}");
+    worker.stop(Duration::from_secs(5)).await;
+}
+
+async fn a_lost_attempt_is_repeated_from_its_checkpoint(rig: Rig) {
+    let id = rig.submit(json!({"message": "a", "delay_s": 600}), 5).await;
+    let (_, nothing) = claim(&rig, id, "lost").await;
+    assert_eq!(nothing, None);
+    let late = Report { percent: 99, phase: "waiting".into(), ..Report::default() };
+    assert_eq!(rig.link.beat(id, 1, &late).await.unwrap(), Verdict::Counts);
+    // echo's state: the seconds that it has waited
+    assert_eq!(rig.link.checkpoint(id, 1, &599.5_f64.to_le_bytes()).await.unwrap(), Verdict::Counts);
+    let worker = rig.worker("heir", 1);
+    let job = rig.ended(id).await;
+    assert_eq!((job.status, job.attempt), (Status::Successful, 2), "{job:?}");
+    worker.stop(Duration::from_secs(5)).await;
+}
+
+async fn a_dismissed_job_frees_its_slot_within_a_second(rig: Rig) {
+    let worker = rig.worker("one", 1);
+    let long = rig.submit(json!({"message": "long", "delay_s": 600}), 5).await;
+    rig.until(long, |job| job.report.percent > 0 || !job.report.phase.is_empty()).await;
+    let next = rig.submit(json!({"message": "next"}), 5).await;
+    assert_eq!(rig.job(next).await.status, Status::Accepted);
+    rig.desk.dismiss(long).await.unwrap();
+    let (long, next) = (rig.job(long).await, rig.ended(next).await);
+    assert_eq!((long.status, next.status), (Status::Dismissed, Status::Successful));
+    let waited = next.started.unwrap().duration_since(long.finished.unwrap());
+    assert!(waited.as_millis() <= 1000, "the slot was freed after {waited}");
+    assert_eq!(rig.desk.fenced_writes(), 0, "a dismissal is no fenced write");
+    assert!(rig.desk.dismiss(long.id).await.is_err());
+    worker.stop(Duration::from_secs(5)).await;
+}
+
+async fn progress_never_falls_within_an_attempt(rig: Rig) {
+    let worker = rig.worker("one", 1);
+    let id = rig.submit(json!({"message": "a", "delay_s": 4}), 5).await;
+    let mut seen = Vec::new();
+    loop {
+        let job = rig.job(id).await;
+        seen.push(job.report.percent);
+        if job.status.ended() {
+            assert_eq!((job.status, job.report.percent), (Status::Successful, 100));
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    assert!(seen.is_sorted(), "{seen:?}");
+    assert!(seen.into_iter().collect::<HashSet<u8>>().len() >= 4);
+    worker.stop(Duration::from_secs(5)).await;
+}
+
+async fn nothing_is_fetched_ahead_of_free_slots(rig: Rig) {
+    let first = rig.worker("first", 2);
+    let mut ids = Vec::new();
+    for number in 0..6 {
+        ids.push(rig.submit(json!({"message": number.to_string(), "delay_s": 600}), 5).await);
+    }
+    let running = async |wanted: usize| {
+        for _ in 0..1000 {
+            let running = rig.jobs().await.into_iter().filter(|job| job.status == Status::Running).count();
+            if running == wanted {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        panic!("{wanted} jobs never ran");
+    };
+    running(2).await;
+    // what the first had fetched ahead, the second could not have
+    let second = rig.worker("second", 4);
+    running(6).await;
+    let by = |name: &'static str, jobs: &[Job]| jobs.iter().filter(|job| job.worker.as_deref() == Some(name)).count();
+    let jobs = rig.jobs().await;
+    assert_eq!((by("first", &jobs), by("second", &jobs)), (2, 4));
+    assert_eq!(jobs.iter().map(|job| job.attempt).max(), Some(1));
+    for id in ids {
+        rig.desk.dismiss(id).await.unwrap();
+    }
+    first.stop(Duration::from_secs(5)).await;
+    second.stop(Duration::from_secs(5)).await;
+}
+
+async fn a_worker_that_stops_gives_back_what_it_holds(rig: Rig) {
+    let id = rig.submit(json!({"message": "a", "delay_s": 4}), 5).await;
+    let first = rig.worker("first", 1);
+    rig.until(id, |job| job.report.percent >= 40).await;
+    first.stop(Duration::from_secs(10)).await;
+    let given_back = rig.job(id).await;
+    assert_eq!((given_back.status, given_back.attempt), (Status::Accepted, 1), "{given_back:?}");
+    assert!(given_back.compute_ms >= 1600);
+
+    let second = rig.worker("second", 1);
+    let mut last = 0;
+    loop {
+        let job = rig.job(id).await;
+        if job.attempt == 2 {
+            assert!(job.report.percent >= 40, "it begins where the first attempt was: {job:?}");
+            assert!(job.report.percent >= last);
+            last = job.report.percent;
+        }
+        if job.status.ended() {
+            assert_eq!((job.status, job.attempt), (Status::Successful, 2));
+            // both attempts together took the time of one, not of one and a half
+            assert!(job.compute_ms < 5600, "{}", job.compute_ms);
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    second.stop(Duration::from_secs(5)).await;
+}
+
+async fn children_run_side_by_side_and_their_parent_is_put_together(rig: Rig) {
+    let worker = rig.worker("four", 4);
+    let parent = rig.submit(json!({"message": "a", "delay_s": 1.5, "parts": 4}), 7).await;
+    let ended = rig.ended(parent).await;
+    assert_eq!((ended.status, ended.attempt), (Status::Successful, 2), "split, then put together: {ended:?}");
+    let results = rig.store.job_results(parent).await.unwrap().unwrap();
+    assert_eq!(results["parts"], json!([{"message": "a"}, {"message": "a"}, {"message": "a"}, {"message": "a"}]));
+    let children: Vec<Job> = rig.jobs().await.into_iter().filter(|job| job.parent == Some(parent)).collect();
+    assert_eq!(children.iter().filter_map(|job| job.position).collect::<Vec<_>>(), [0, 1, 2, 3]);
+    assert!(children.iter().all(|job| job.priority.get() == 7 && job.attempt == 1));
+    // side by side: all had begun before any had ended
+    let last_start = children.iter().filter_map(|job| job.started).max();
+    assert!(last_start < children.iter().filter_map(|job| job.finished).min());
+    worker.stop(Duration::from_secs(5)).await;
+}
+
+async fn a_lost_last_child_frees_its_parent(rig: Rig) {
+    let parent = rig.submit(json!({"message": "a", "parts": 1}), 5).await;
+    claim(&rig, parent, "splitter").await;
+    let part = Part { process_id: "echo".into(), inputs: json!({"message": "a"}) };
+    let split = Delivery::Finished(Output { split: vec![part], ..Output::default() });
+    assert_eq!(rig.link.finish(parent, 1, &split, 0).await.unwrap(), Verdict::Counts);
+    let child = rig.jobs().await.into_iter().find(|job| job.parent == Some(parent)).unwrap();
+    for _ in 0..5 {
+        claim(&rig, child.id, "doomed").await;
+    }
+    let worker = rig.worker("next", 1);
+    let ended = rig.ended(parent).await;
+    assert_eq!(ended.status, Status::Failed);
+    let detail = ended.exception.unwrap().detail;
+    assert!(detail.starts_with("part 0 has no result: 5 attempts"), "{detail}");
+    worker.stop(Duration::from_secs(5)).await;
+}

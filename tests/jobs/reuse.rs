@@ -1,0 +1,60 @@
+//! What was computed before is not computed again.
+
+use serde_json::{Value, json};
+
+use crate::support::{
+    TestApp,
+    app::beside_the_servers,
+    data,
+    trained::{id, train},
+};
+
+#[tokio::test]
+async fn the_same_training_on_the_same_days_is_done_once() {
+    let app = TestApp::start().await;
+    let store = app.state.store.clone();
+    beside_the_servers(data::synthetic(store, "synthetic", data::winters(7, 4))).await;
+    let inputs = json!({"station": "synthetic", "label": "observed", "lead": 0});
+    let first = train(&app, &inputs).await;
+    assert_eq!(first["reused"], false);
+
+    let ask = async |inputs: &Value, cache: &str| {
+        let call = app.post("/v1/processes/train-model/execution").header("cache-control", cache);
+        let answer = call.json(&json!({"inputs": inputs})).await;
+        let job = answer.json(201);
+        assert_eq!(answer.header("location"), format!("/v1/jobs/{}", id(&job)));
+        if job["reused"] == false {
+            app.delete(answer.header("location")).await.json(200);
+        }
+        job
+    };
+    // defaults that are written out are the same inputs
+    let written_out = json!({"station": "synthetic", "label": "observed", "lead": 0, "kernel": "gaussian", "seed": 0});
+    for inputs in [&inputs, &written_out] {
+        let again = ask(inputs, "max-age=0").await;
+        assert_eq!((&again["reused"], &again["jobID"]), (&json!(true), &first["jobID"]));
+        assert_eq!(again["status"], "successful");
+    }
+    assert_eq!(app.read("/v1/models").await["models"].as_array().unwrap().len(), 1);
+
+    assert_eq!(ask(&inputs, "no-cache").await["reused"], false);
+    let other_seed = json!({"station": "synthetic", "label": "observed", "lead": 0, "seed": 1});
+    assert_eq!(ask(&other_seed, "max-age=0").await["reused"], false);
+    // other days are another content under the same name
+    let day = app.read("/v1/stations/synthetic/observations?limit=1").await["observations"][0]["date"].clone();
+    let path = format!("/v1/stations/synthetic/observations/{}", day.as_str().unwrap());
+    assert!(app.put(&path, &json!({"air_temperature": -12.5})).await.status < 300);
+    assert_eq!(ask(&inputs, "max-age=0").await["reused"], false);
+}
+
+#[tokio::test]
+async fn echo_is_always_computed_anew() {
+    let app = TestApp::start().await;
+    let ask = async || {
+        let call = app.post("/v1/processes/echo/execution").json(&json!({"inputs": {"message": "a"}}));
+        let job = call.header("prefer", "wait=20").await.json(201);
+        assert_eq!((&job["status"], &job["reused"]), (&json!("successful"), &json!(false)));
+        id(&job).to_owned()
+    };
+    assert_ne!(ask().await, ask().await);
+}

@@ -1,0 +1,141 @@
+//! A desk, an engine and a link to it in this process: what the contract is tried on.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use firn::{
+    domain::job::{Job, Labels, Priority},
+    jobs::{
+        Desk, Submission, Submitted,
+        artifacts::Artifacts,
+        caretaker::{self, Keep},
+        engine::{Engine, local::Local, nats::Nats},
+        link::JobLink,
+        nats_link::{self, NatsLink},
+        processes::Process,
+        worker::{Worker, WorkerOptions},
+    },
+    store::{
+        Store,
+        jobs::{Answer, JobFilter},
+    },
+};
+use serde_json::Value;
+use tempfile::TempDir;
+use tokio_util::sync::{CancellationToken, DropGuard};
+use uuid::Uuid;
+
+use crate::{
+    processes::{NatsServer, PATIENCE},
+    support::app::data_dir,
+};
+
+pub struct Rig {
+    pub store: Store,
+    pub desk: Desk,
+    pub engine: Arc<dyn Engine>,
+    pub link: Arc<dyn JobLink>,
+    _stop: DropGuard,
+    _data: TempDir,
+    _nats: Option<NatsServer>,
+}
+
+impl Rig {
+    /// Over the embedded engine.
+    pub async fn local(lease: Duration) -> Self {
+        let engine: Arc<dyn Engine> = Arc::new(Local::with_lease(lease));
+        let (store, desk, data) = desk(&engine).await;
+        let stop = CancellationToken::new();
+        let link: Arc<dyn JobLink> = Arc::new(desk.clone());
+        Self::over(store, desk, engine, link, stop, data, None)
+    }
+
+    /// Over a NATS server of its own; none where the machine has none.
+    pub async fn nats(lease: Duration) -> Option<Self> {
+        let server = NatsServer::start()?;
+        let nats = Nats::connect(&server.url(), lease).await.expect("the server answers");
+        let client = nats.client();
+        let engine: Arc<dyn Engine> = Arc::new(nats);
+        let (store, desk, data) = desk(&engine).await;
+        let stop = CancellationToken::new();
+        tokio::spawn(nats_link::serve(client.clone(), desk.clone(), stop.clone()));
+        let link: Arc<dyn JobLink> = Arc::new(NatsLink::new(client));
+        Some(Self::over(store, desk, engine, link, stop, data, Some(server)))
+    }
+
+    fn over(
+        store: Store,
+        desk: Desk,
+        engine: Arc<dyn Engine>,
+        link: Arc<dyn JobLink>,
+        stop: CancellationToken,
+        data: TempDir,
+        nats: Option<NatsServer>,
+    ) -> Self {
+        let keep = Keep { days: 1, bytes: u64::MAX };
+        tokio::spawn(caretaker::run(desk.clone(), keep, stop.clone()));
+        Self { store, desk, engine, link, _stop: stop.drop_guard(), _data: data, _nats: nats }
+    }
+
+    /// Has an echo accepted.
+    pub async fn submit(&self, inputs: Value, priority: u8) -> Uuid {
+        let submission = Submission {
+            process: Process::Echo,
+            inputs,
+            labels: Labels::new(),
+            priority: Priority::try_from(priority).unwrap(),
+            submitted_by: None,
+            anew: false,
+            reservation: None,
+        };
+        let render = |job: &Job| Answer { location: String::new(), body: job.id.to_string().into() };
+        match self.desk.submit(submission, render).await.expect("it is accepted") {
+            Submitted::New(answer) => answer.body.as_str().unwrap().parse().unwrap(),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// A worker beside the desk.
+    pub fn worker(&self, name: &str, slots: usize) -> Worker {
+        let options = WorkerOptions { name: name.into(), threads: slots, slots };
+        Worker::start(Arc::clone(&self.engine), Arc::clone(&self.link), options).expect("threads")
+    }
+
+    pub async fn job(&self, id: Uuid) -> Job {
+        self.store.job(id).await.unwrap().expect("the job is there")
+    }
+
+    /// Every job, oldest first.
+    pub async fn jobs(&self) -> Vec<Job> {
+        let mut jobs = self.store.jobs(&JobFilter::default(), firn::clock::now(), 10_000).await.unwrap();
+        jobs.reverse();
+        jobs
+    }
+
+    /// Looks at a job until it is as wanted.
+    pub async fn until(&self, id: Uuid, wanted: impl Fn(&Job) -> bool) -> Job {
+        let since = Instant::now();
+        loop {
+            let job = self.job(id).await;
+            if wanted(&job) {
+                return job;
+            }
+            assert!(since.elapsed() < PATIENCE, "waited too long for {job:?}");
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
+    pub async fn ended(&self, id: Uuid) -> Job {
+        self.until(id, |job| job.status.ended()).await
+    }
+}
+
+async fn desk(engine: &Arc<dyn Engine>) -> (Store, Desk, TempDir) {
+    let data = data_dir();
+    let store = Store::open(data.path()).await.expect("the store opens");
+    let artifacts = Artifacts::folder(&data.path().join("artifacts")).expect("a folder");
+    let desk = Desk::new(store.clone(), Arc::clone(engine), artifacts, 10_000);
+    (store, desk, data)
+}
