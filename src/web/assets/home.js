@@ -5,7 +5,7 @@ import { byId, h, s, show } from './dom.js';
 import { basis, categoryBadge, problemBox, scale, syntheticBadge } from './forecast.js';
 import { drawJobs, watchJobs } from './jobs.js';
 import { showKey } from './key.js';
-import { ago, dayNumber, dayOf, LABELS, longDay, percent, today } from './text.js';
+import { ago, dayNumber, dayOf, LABELS, LEADS, longDay, percent, today } from './text.js';
 
 /** Days of the strip of bars beside a forecast. */
 const STRIP_DAYS = 30;
@@ -42,7 +42,7 @@ function strip({ latest, strip: days }) {
 function newest(station, forecast) {
   const { latest } = forecast;
   return h('div', { class: 'newest' },
-    h('p', { class: 'when' }, h('time', { datetime: latest.date }, longDay(latest.date)),
+    h('p', { class: 'when' }, h('span', { class: 'badge' }, LEADS[latest.lead] ?? `Lead ${latest.lead}`), ' ', h('time', { datetime: latest.date }, longDay(latest.date)),
       h('span', { class: 'muted' }, ` ${ago(latest.date, today(station.timezone))}`)),
     h('div', { class: 'newest-row' },
       h('p', { class: 'verdict' }, h('a', { class: 'probability', href: href(station, { lead: latest.lead, date: latest.date }) }, percent(latest.probability)),
