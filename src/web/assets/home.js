@@ -75,7 +75,7 @@ async function drawStations() {
     const training = jobs.going.some((job) => job.processID === 'train-model');
     byId('begin').open ||= stations.length === 0;
     show(place, stations.length === 0
-      ? h('p', { class: 'card' }, 'There is no station yet. Begin with the four lines below, or look at made-up data with ', h('code', null, 'firn serve --demo'), '.')
+      ? h('div', { class: 'card' }, h('p', null, 'There is no station yet. Begin with the four lines below, or look at made-up data with ', h('code', null, 'firn serve --demo'), '.'))
       : h('ul', { class: 'stations' }, read.map((one) => stationCard({ ...one, training }))));
     show(byId('notice'));
   } catch (problem) {
