@@ -81,9 +81,10 @@ impl Server {
         };
         let give_up = async {
             stop.cancelled().await;
-            state.jobs.stop(deadline).await;
-            // clients that hold a connection open must not hold the process
-            let _ = tokio::time::timeout(deadline, drained.cancelled()).await;
+            // side by side, so that both together keep the deadline; clients that hold a connection open must not hold
+            // the process
+            let answered = tokio::time::timeout(deadline, drained.cancelled());
+            let ((), _) = tokio::join!(state.jobs.stop(deadline), answered);
         };
         tokio::pin!(give_up);
         tokio::select! {

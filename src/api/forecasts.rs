@@ -101,17 +101,14 @@ pub struct ForecastsQuery {
 #[derive(Serialize, ToSchema)]
 pub struct ForecastResource {
     /// The station.
-    #[schema(inline)]
     station: StationId,
     /// True where the station or the model is made of data from a generator: no forecast of a real place.
     synthetic: bool,
     /// The day that is forecast.
-    #[schema(inline)]
     date: Date,
     /// Days between the last observation that was used and the day that is forecast.
     lead: u8,
     /// The newest day of which observations were used.
-    #[schema(inline)]
     base_date: Date,
     /// What counts as an avalanche day: `observed` or `presumed`.
     #[schema(value_type = String, example = "observed")]
@@ -152,12 +149,10 @@ pub struct ForecastList {
 #[derive(Serialize, ToSchema)]
 pub struct SimilarDays {
     /// The station.
-    #[schema(inline)]
     station: StationId,
     /// True where the days are those of a generator and never happened.
     synthetic: bool,
     /// The day that is forecast.
-    #[schema(inline)]
     date: Date,
     /// Days between the last observation that was used and the day that is forecast.
     lead: u8,
@@ -349,8 +344,9 @@ pub async fn list_similar_days(
     let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
     let history = speaker.history(&state, path.date.0, path.date.0).await?;
     let count = Limit::or_default(query.limit) as usize;
-    let similar_days = match speaker.model.similar_days(&history, path.date.0, count) {
-        Ok(days) => days,
+    let similar_days = match speaker.model.similar_days(&history, path.date.0, count + 1) {
+        // a day that was in the training is most like itself, which tells nobody anything
+        Ok(days) => days.into_iter().filter(|day| day.date != path.date.0).take(count).collect(),
         Err(error) => return Err(speaker.refuse(&state, error).await?.into()),
     };
     let answer = SimilarDays {

@@ -51,8 +51,21 @@ pub struct ImportQuery {
     partial: Option<bool>,
     /// For `format=sais`: the area to read from a file that has several.
     #[serde(default)]
-    #[param(example = "Lochaber", max_length = 100)]
-    area: Option<String>,
+    #[param(value_type = Option<String>, example = "Lochaber", max_length = 100)]
+    area: Option<Area>,
+}
+
+/// The area of an export that has several, at most 100 characters.
+#[derive(Deserialize)]
+#[serde(try_from = "String")]
+struct Area(String);
+
+impl TryFrom<String> for Area {
+    type Error = &'static str;
+
+    fn try_from(name: String) -> Result<Self, Self::Error> {
+        if name.chars().count() <= 100 { Ok(Self(name)) } else { Err("must be at most 100 characters") }
+    }
 }
 
 /// The export of a service.
@@ -98,7 +111,6 @@ pub struct RowReport {
     /// Where it begins: the line of the file, from 1; of a JSON array the position of the day, from 1.
     line: u64,
     /// The day; null where it could not be read.
-    #[schema(inline)]
     date: Option<Date>,
     /// `accepted` or `refused`.
     status: RowStatus,
@@ -182,7 +194,7 @@ pub async fn import_observations(
         (MediaType::Json, _) => from_json(&bytes)?,
         (MediaType::Ndjson, _) => from_ndjson(&bytes),
         (MediaType::Csv, None) => from_file("csv", observations_csv::read(&bytes))?,
-        (MediaType::Csv, Some(Format::Sais)) => from_sais(&bytes, &station, query.area.as_deref())?,
+        (MediaType::Csv, Some(Format::Sais)) => from_sais(&bytes, &station, query.area.as_ref().map(|area| area.0.as_str()))?,
     };
     store(&state, &station, rows, query.partial.unwrap_or(false), caller).await
 }
@@ -208,7 +220,8 @@ fn from_json(bytes: &[u8]) -> Result<Rows, Problem> {
         }
         day => vec![json_row(1, day, "")],
     };
-    Ok(Rows { format: "json", rows: without_repeats(rows), ..Rows::default() })
+    let rows = without_repeats(rows, |row| format!("/{}", row.line.saturating_sub(1)));
+    Ok(Rows { format: "json", rows, ..Rows::default() })
 }
 
 fn json_row(line: u64, value: &Value, prefix: &str) -> Row {
@@ -252,19 +265,20 @@ fn from_ndjson(bytes: &[u8]) -> Rows {
             }
         }
     };
-    let rows = without_repeats(ndjson::lines(bytes).map(row).collect());
+    let rows = without_repeats(ndjson::lines(bytes).map(row).collect(), |row| format!("/{}", row.line));
     Rows { format: "ndjson", rows, ..Rows::default() }
 }
 
-/// Refuses a row that repeats the day of an accepted one: which of the two is meant cannot be told.
-fn without_repeats(mut rows: Vec<Row>) -> Vec<Row> {
+/// Refuses a row that repeats the day of an accepted one: which of the two is meant cannot be told. `pointer` is where a
+/// row stands in the body: the position in an array counts from 0, the line of a file from 1.
+fn without_repeats(mut rows: Vec<Row>, pointer: impl Fn(&Row) -> String) -> Vec<Row> {
     let mut first: HashMap<civil::Date, u64> = HashMap::new();
     for row in &mut rows {
         let Ok((write, _)) = &row.outcome else { continue };
         let line = *first.entry(write.date).or_insert(row.line);
         if line != row.line {
             let detail = format!("{} is also row {line}: send a day once", write.date);
-            row.outcome = Err(vec![FieldError::new(format!("/{}/date", row.line), "duplicate_day", detail)]);
+            row.outcome = Err(vec![FieldError::new(format!("{}/date", pointer(row)), "duplicate_day", detail)]);
         }
     }
     rows

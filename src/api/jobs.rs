@@ -1,5 +1,7 @@
 //! `/v1/jobs`: how jobs are, what they gave, and giving them up (OGC API - Processes Part 1, sections 7.12, 7.13, 11, 13).
 
+use std::fmt;
+
 use axum::{
     Json,
     extract::State,
@@ -59,15 +61,15 @@ pub struct JobsQuery {
     kind: Option<JobType>,
     /// Only jobs made at this instant or in this interval: `instant`, `from/to`, `from/..` or `../to` (RFC 3339).
     #[serde(default)]
-    #[param(value_type = Option<String>, example = "2026-11-01T00:00:00Z/..")]
+    #[param(value_type = Option<String>, example = "2026-11-01T00:00:00Z/..", pattern = "^([0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\\.[0-9]{1,9})?(Z|[+-][0-9]{2}:[0-9]{2})|[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\\.[0-9]{1,9})?(Z|[+-][0-9]{2}:[0-9]{2})/([0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\\.[0-9]{1,9})?(Z|[+-][0-9]{2}:[0-9]{2})|\\.\\.)?|(\\.\\.)?/[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\\.[0-9]{1,9})?(Z|[+-][0-9]{2}:[0-9]{2}))$")]
     datetime: Option<Interval>,
     /// Only jobs that have run for at least this long, s.
     #[serde(default, rename = "minDuration")]
-    #[param(rename = "minDuration", minimum = 0)]
+    #[param(rename = "minDuration", value_type = Option<u64>, minimum = 0, maximum = 4_294_967_295_u64)]
     min_duration: Option<u32>,
     /// Only jobs that have run for at most this long, s.
     #[serde(default, rename = "maxDuration")]
-    #[param(rename = "maxDuration", minimum = 0)]
+    #[param(rename = "maxDuration", value_type = Option<u64>, minimum = 0, maximum = 4_294_967_295_u64)]
     max_duration: Option<u32>,
     /// Largest number of jobs in the answer, 1 to 1000.
     #[serde(default)]
@@ -201,6 +203,21 @@ fn states(list: Option<&str>) -> Result<Vec<Status>, Problem> {
     list.map_or_else(|| Ok(Vec::new()), |list| list.split(',').map(parse).collect())
 }
 
+/// The address of the page after `cursor`, with the filters of this one.
+fn page_after(query: &JobsQuery, limit: u32, cursor: Uuid) -> String {
+    let filters = [
+        ("status", query.status.clone()),
+        ("processID", query.process_id.clone()),
+        ("datetime", query.datetime.map(|interval| interval.to_string())),
+        ("minDuration", query.min_duration.map(|seconds| seconds.to_string())),
+        ("maxDuration", query.max_duration.map(|seconds| seconds.to_string())),
+        ("limit", Some(limit.to_string())),
+        ("cursor", Some(cursor.to_string())),
+    ];
+    let given = filters.into_iter().filter_map(|(name, value)| Some((name, value?)));
+    format!("/v1/jobs?{}", form_urlencoded::Serializer::new(String::new()).extend_pairs(given).finish())
+}
+
 /// Lists jobs, newest first.
 #[utoipa::path(get, path = "/v1/jobs", operation_id = "list_jobs", tag = "jobs", params(JobsQuery),
     responses((status = 200, description = "A page of jobs.", body = JobList)))]
@@ -212,7 +229,7 @@ pub async fn list_jobs(
     let limit = Limit::or_default(query.limit);
     let filter = JobFilter {
         status: states(query.status.as_deref())?,
-        process_id: query.process_id.into_iter().collect(),
+        process_id: query.process_id.clone().into_iter().collect(),
         created_from: query.datetime.and_then(|interval| interval.from),
         created_to: query.datetime.and_then(|interval| interval.to),
         min_duration_s: query.min_duration.map(f64::from),
@@ -224,13 +241,14 @@ pub async fn list_jobs(
     jobs.truncate(limit as usize);
     let next = jobs.last().filter(|_| more).map(|job| job.id);
     let mut links = vec![Link::json("/v1/jobs", "self", "this list from its beginning")];
-    if let Some(cursor) = next {
-        links.push(Link::json(format!("/v1/jobs?limit={limit}&cursor={cursor}"), "next", "the next page"));
+    let next_page = next.map(|cursor| page_after(&query, limit, cursor));
+    if let Some(page) = &next_page {
+        links.push(Link::json(page.clone(), "next", "the next page"));
     }
     let list = JobList { jobs: jobs.into_iter().map(Into::into).collect(), links, next };
     let mut response = respond::resource(&conditions, &list)?;
-    if let Some(cursor) = next {
-        respond::link_next(&mut response, &format!("/v1/jobs?limit={limit}&cursor={cursor}"));
+    if let Some(page) = &next_page {
+        respond::link_next(&mut response, page);
     }
     Ok(response)
 }
@@ -301,6 +319,13 @@ pub async fn dismiss_job(State(state): State<AppState>, Path(path): Path<JobPath
         },
         Err(StoreError::Missing) => Err(Problem::new(Code::NoSuchJob, format!("there is no job {}", job.id)).into()),
         Err(error) => Err(error.into()),
+    }
+}
+
+impl fmt::Display for Interval {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let end = |at: Option<Timestamp>| at.map_or_else(|| "..".to_owned(), |at| at.to_string());
+        write!(f, "{}/{}", end(self.from), end(self.to))
     }
 }
 

@@ -22,7 +22,7 @@ use utoipa::OpenApi;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    AppState, auth, avalanches, docs, feature_sets, forecasts, health, imports, jobs, landing, models, observations,
+    AppState, auth, avalanches, docs, extract::BodyLimit, feature_sets, forecasts, health, imports, jobs, landing, models, observations,
     openapi,
     problem::{ApiError, REQUEST_ID, from_panic},
     processes, stations,
@@ -97,6 +97,7 @@ pub fn router(state: AppState) -> Router {
         .layer(middleware::from_fn_with_state(state.clone(), auth::authenticate))
         .layer(CsrfLayer::new().with_rejection_response(cross_origin))
         .layer(DefaultBodyLimit::max(state.config.max_body_bytes))
+        .layer(axum::Extension(BodyLimit(state.config.max_body_bytes)))
         .layer(limits)
         .layer(CatchPanicLayer::custom(from_panic))
         .layer(CompressionLayer::new())

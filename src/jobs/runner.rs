@@ -237,6 +237,8 @@ impl Jobs {
                 (slot, waiting.recv().await)
             };
             tokio::select! {
+                // a slot that the end of a cancelled job frees must not start another
+                biased;
                 () = self.0.stopping.cancelled() => return,
                 (slot, id) = next => match (slot, id) {
                     (Ok(slot), Some(id)) => {
@@ -256,6 +258,10 @@ impl Jobs {
         let control = Arc::new(Control::default());
         // known before it is started, so that no dismissal falls between the two
         self.running().insert(id, Arc::clone(&control));
+        // asked after it is known: whoever stops the runner sees this job, or this job sees that
+        if self.0.stopping.is_cancelled() {
+            return;
+        }
         if let Err(error) = self.run_started(id, control).await {
             match error {
                 StoreError::Transition(_) => tracing::info!(job = %id, "dismissed"),

@@ -134,18 +134,19 @@ impl Store {
             query.push(" AND id < ").push_bind(before.to_string());
         }
         if let Some(from) = filter.created_from {
-            query.push(" AND julianday(created) >= julianday(").push_bind(from.to_string()).push(")");
+            query.push(" AND unixepoch(created, 'subsec') >= unixepoch(").push_bind(from.to_string()).push(", 'subsec')");
         }
         if let Some(to) = filter.created_to {
-            query.push(" AND julianday(created) <= julianday(").push_bind(to.to_string()).push(")");
+            query.push(" AND unixepoch(created, 'subsec') <= unixepoch(").push_bind(to.to_string()).push(", 'subsec')");
         }
         let names: Vec<&str> = filter.status.iter().map(|status| status.name()).collect();
         push_list(&mut query, "status", &names);
         push_list(&mut query, "process_id", &filter.process_id);
         for (limit, comparison) in [(filter.min_duration_s, " >= "), (filter.max_duration_s, " <= ")] {
             if let Some(seconds) = limit {
-                query.push(" AND started IS NOT NULL AND (julianday(coalesce(finished, ").push_bind(now.to_string());
-                query.push(")) - julianday(started)) * 86400.0").push(comparison).push_bind(seconds);
+                // to the millisecond that is stored: the difference of two doubles is not exact
+                query.push(" AND started IS NOT NULL AND round(unixepoch(coalesce(finished, ").push_bind(now.to_string());
+                query.push("), 'subsec') - unixepoch(started, 'subsec'), 3)").push(comparison).push_bind(seconds);
             }
         }
         query.push(" ORDER BY id DESC LIMIT ").push_bind(limit);

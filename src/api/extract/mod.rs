@@ -4,7 +4,7 @@ mod body;
 mod conditions;
 mod params;
 
-pub use body::{Body, JsonBody, MediaType, json_fault, media_type};
+pub use body::{Body, BodyLimit, JsonBody, MediaType, json_fault, media_type};
 pub use conditions::{Conditions, etag};
 pub use params::{Path, Query};
 
