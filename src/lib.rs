@@ -13,5 +13,6 @@ pub mod server;
 pub mod shutdown;
 pub mod store;
 pub mod telemetry;
+pub mod web;
 
 pub use firn_science as science;

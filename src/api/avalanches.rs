@@ -44,10 +44,8 @@ pub struct DayPath {
 #[derive(Serialize, ToSchema)]
 pub struct AvalancheResource {
     /// Name of the station.
-    #[schema(inline)]
     station: StationId,
     /// The station's local day.
-    #[schema(inline)]
     date: Date,
     /// Whether avalanches were seen, judged likely, ruled out, or nobody could say.
     #[schema(value_type = ActivitySchema)]

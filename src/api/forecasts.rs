@@ -101,17 +101,14 @@ pub struct ForecastsQuery {
 #[derive(Serialize, ToSchema)]
 pub struct ForecastResource {
     /// The station.
-    #[schema(inline)]
     station: StationId,
     /// True where the station or the model is made of data from a generator: no forecast of a real place.
     synthetic: bool,
     /// The day that is forecast.
-    #[schema(inline)]
     date: Date,
     /// Days between the last observation that was used and the day that is forecast.
     lead: u8,
     /// The newest day of which observations were used.
-    #[schema(inline)]
     base_date: Date,
     /// What counts as an avalanche day: `observed` or `presumed`.
     #[schema(value_type = String, example = "observed")]
@@ -152,12 +149,10 @@ pub struct ForecastList {
 #[derive(Serialize, ToSchema)]
 pub struct SimilarDays {
     /// The station.
-    #[schema(inline)]
     station: StationId,
     /// True where the days are those of a generator and never happened.
     synthetic: bool,
     /// The day that is forecast.
-    #[schema(inline)]
     date: Date,
     /// Days between the last observation that was used and the day that is forecast.
     lead: u8,

@@ -51,8 +51,21 @@ pub struct ImportQuery {
     partial: Option<bool>,
     /// For `format=sais`: the area to read from a file that has several.
     #[serde(default)]
-    #[param(example = "Lochaber", max_length = 100)]
-    area: Option<String>,
+    #[param(value_type = Option<String>, example = "Lochaber", max_length = 100)]
+    area: Option<Area>,
+}
+
+/// The area of an export that has several, at most 100 characters.
+#[derive(Deserialize)]
+#[serde(try_from = "String")]
+struct Area(String);
+
+impl TryFrom<String> for Area {
+    type Error = &'static str;
+
+    fn try_from(name: String) -> Result<Self, Self::Error> {
+        if name.chars().count() <= 100 { Ok(Self(name)) } else { Err("must be at most 100 characters") }
+    }
 }
 
 /// The export of a service.
@@ -98,7 +111,6 @@ pub struct RowReport {
     /// Where it begins: the line of the file, from 1; of a JSON array the position of the day, from 1.
     line: u64,
     /// The day; null where it could not be read.
-    #[schema(inline)]
     date: Option<Date>,
     /// `accepted` or `refused`.
     status: RowStatus,
@@ -182,7 +194,7 @@ pub async fn import_observations(
         (MediaType::Json, _) => from_json(&bytes)?,
         (MediaType::Ndjson, _) => from_ndjson(&bytes),
         (MediaType::Csv, None) => from_file("csv", observations_csv::read(&bytes))?,
-        (MediaType::Csv, Some(Format::Sais)) => from_sais(&bytes, &station, query.area.as_deref())?,
+        (MediaType::Csv, Some(Format::Sais)) => from_sais(&bytes, &station, query.area.as_ref().map(|area| area.0.as_str()))?,
     };
     store(&state, &station, rows, query.partial.unwrap_or(false), caller).await
 }

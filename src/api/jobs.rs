@@ -61,15 +61,15 @@ pub struct JobsQuery {
     kind: Option<JobType>,
     /// Only jobs made at this instant or in this interval: `instant`, `from/to`, `from/..` or `../to` (RFC 3339).
     #[serde(default)]
-    #[param(value_type = Option<String>, example = "2026-11-01T00:00:00Z/..")]
+    #[param(value_type = Option<String>, example = "2026-11-01T00:00:00Z/..", pattern = "^([0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\\.[0-9]{1,9})?(Z|[+-][0-9]{2}:[0-9]{2})|[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\\.[0-9]{1,9})?(Z|[+-][0-9]{2}:[0-9]{2})/([0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\\.[0-9]{1,9})?(Z|[+-][0-9]{2}:[0-9]{2})|\\.\\.)?|(\\.\\.)?/[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\\.[0-9]{1,9})?(Z|[+-][0-9]{2}:[0-9]{2}))$")]
     datetime: Option<Interval>,
     /// Only jobs that have run for at least this long, s.
     #[serde(default, rename = "minDuration")]
-    #[param(rename = "minDuration", minimum = 0)]
+    #[param(rename = "minDuration", value_type = Option<u64>, minimum = 0, maximum = 4_294_967_295_u64)]
     min_duration: Option<u32>,
     /// Only jobs that have run for at most this long, s.
     #[serde(default, rename = "maxDuration")]
-    #[param(rename = "maxDuration", minimum = 0)]
+    #[param(rename = "maxDuration", value_type = Option<u64>, minimum = 0, maximum = 4_294_967_295_u64)]
     max_duration: Option<u32>,
     /// Largest number of jobs in the answer, 1 to 1000.
     #[serde(default)]

@@ -3,7 +3,7 @@
 pub mod auth;
 mod avalanches;
 mod docs;
-mod extract;
+pub(crate) mod extract;
 mod feature_sets;
 mod forecasts;
 mod health;
@@ -17,7 +17,7 @@ pub mod problem;
 mod processes;
 mod respond;
 mod router;
-mod stations;
+pub(crate) mod stations;
 
 use std::sync::Arc;
 

@@ -72,7 +72,6 @@ pub struct ModelResource {
     /// Id of the model.
     id: Uuid,
     /// The station that it was trained for.
-    #[schema(inline)]
     station: StationId,
     /// True where it was trained on data that a generator made.
     synthetic: bool,
@@ -109,7 +108,6 @@ pub struct ModelList {
 #[derive(Serialize, ToSchema)]
 pub struct ActiveModel {
     /// The station.
-    #[schema(inline)]
     station: StationId,
     /// Days between the last observation and the day that is forecast.
     lead: u8,

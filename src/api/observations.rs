@@ -118,7 +118,6 @@ pub struct ObservationList {
     /// Days in their order; a day without a record is not in the list.
     observations: Vec<ObservationResource>,
     /// The `cursor` of the next page; null on the last.
-    #[schema(inline)]
     next: Option<Date>,
 }
 

@@ -5,8 +5,9 @@ use std::sync::LazyLock;
 use utoipa::{
     Modify, OpenApi, ToSchema,
     openapi::{
-        Components, ContentBuilder, HeaderBuilder, Ref, RefOr, Response, ResponseBuilder, SecurityRequirement,
-        path::Operation,
+        Components, ContentBuilder, HeaderBuilder, Ref, RefOr, Required, Response, ResponseBuilder,
+        SecurityRequirement,
+        path::{Operation, ParameterBuilder, ParameterIn},
         schema::{ObjectBuilder, Type},
         security::{HttpAuthScheme, HttpBuilder, SecurityScheme},
     },
@@ -79,16 +80,24 @@ fn complete(document: &mut utoipa::openapi::OpenApi) {
         for operation in operations.into_iter().flatten() {
             refusals(operation);
             if path.starts_with("/v1") {
-                operation.security = Some(vec![
-                    SecurityRequirement::new("key", Vec::<String>::new()),
-                    SecurityRequirement::default(),
-                ]);
+                operation.security =
+                    Some(vec![SecurityRequirement::new("key", Vec::<String>::new()), SecurityRequirement::default()]);
             }
         }
-        if let Some(get) = &mut item.get
-            && path.starts_with("/v1")
-        {
+        if !path.starts_with("/v1") {
+            continue;
+        }
+        if let Some(get) = &mut item.get {
             conditional(get);
+        }
+        if let Some(put) = &mut item.put {
+            header(
+                put,
+                "if-match",
+                ENTITY_TAGS,
+                "Write only over one of these versions (`ETag`); `*`: over any. Else 412.",
+            );
+            header(put, "if-none-match", ENTITY_TAGS, "`*`: write only what is not there yet. Else 412.");
         }
     }
 }
@@ -103,8 +112,30 @@ fn refusals(operation: &mut Operation) {
     responses.insert("5XX".into(), problem("The service cannot answer now; `/problems/{code}` explains why."));
 }
 
+/// The form of `If-Match` and `If-None-Match` (RFC 9110, section 13.1): `*` or a list of entity tags.
+const ENTITY_TAGS: &str = r#"^(\*|(W/)?"[!#-~]*"(, ?(W/)?"[!#-~]*")*)$"#;
+
+/// Adds a request header that is optional.
+fn header(operation: &mut Operation, name: &str, pattern: &str, about: &str) {
+    let schema = ObjectBuilder::new().schema_type(Type::String).pattern(Some(pattern)).build();
+    let parameter = ParameterBuilder::new()
+        .name(name)
+        .parameter_in(ParameterIn::Header)
+        .required(Required::False)
+        .description(Some(about))
+        .schema(Some(schema))
+        .build();
+    operation.parameters.get_or_insert_default().push(parameter.into());
+}
+
 /// Reads below `/v1` carry an entity tag and say 304 to whoever has it.
 fn conditional(get: &mut Operation) {
+    header(
+        get,
+        "if-none-match",
+        ENTITY_TAGS,
+        "Versions (`ETag`) that the caller has; where nothing changed the answer is 304.",
+    );
     let seen = ResponseBuilder::new().description("Unchanged since the `ETag` in `If-None-Match`.").build();
     get.responses.responses.insert("304".into(), seen.into());
     if let Some(RefOr::T(ok)) = get.responses.responses.get_mut("200") {

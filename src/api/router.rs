@@ -85,6 +85,7 @@ pub fn document() -> utoipa::openapi::OpenApi {
 /// The whole service.
 pub fn router(state: AppState) -> Router {
     let (router, _) = routes().split_for_parts();
+    let router = router.merge(crate::web::router());
     let limits = ServiceBuilder::new()
         .layer(HandleErrorLayer::new(limit_reached))
         .load_shed()

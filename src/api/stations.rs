@@ -73,10 +73,8 @@ impl<const DEFAULT: u32, const MAX: u32> Limit<DEFAULT, MAX> {
 #[derive(Serialize, ToSchema)]
 pub struct StationResource {
     /// Its name in every address.
-    #[schema(inline)]
     id: StationId,
     /// Name for humans.
-    #[schema(inline)]
     name: StationName,
     /// Latitude, degrees north (WGS 84).
     latitude: Option<Latitude>,

@@ -2,7 +2,7 @@
 
 use firn_science::forecast::day::Variable;
 use jiff::{Timestamp, tz::TimeZone};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, de::Error};
 use utoipa::{
     PartialSchema, ToSchema,
     openapi::{
@@ -35,7 +35,7 @@ pub struct StationBody {
     #[serde(default)]
     pub timezone: Option<ZoneName>,
     /// The variables that the station reports; null: whatever its observations contain.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "distinct")]
     #[schema(schema_with = variables_schema)]
     pub variables: Option<Vec<Variable>>,
 }
@@ -66,7 +66,7 @@ impl Station {
 }
 
 macro_rules! text {
-    ($(#[$doc:meta])* $name:ident, $min:literal..=$max:literal, $check:expr, $rule:literal, $example:literal) => {
+    ($(#[$doc:meta])* $name:ident, $min:literal..=$max:literal, $pattern:literal, $check:expr, $rule:literal, $example:literal) => {
         $(#[$doc])*
         #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
         #[serde(try_from = "String", into = "String")]
@@ -102,6 +102,7 @@ macro_rules! text {
                     .schema_type(Type::String)
                     .min_length(Some($min))
                     .max_length(Some($max))
+                    .pattern(Some($pattern))
                     .description(Some($rule))
                     .examples([serde_json::json!($example)])
                     .into()
@@ -114,13 +115,13 @@ macro_rules! text {
 
 text! {
     /// A name for humans.
-    StationName, 1..=200, |text| !text.contains(char::is_control),
+    StationName, 1..=200, r"^[^\x00-\x1f\x7f-\x9f]*$", |text| !text.contains(char::is_control),
     "must be 1 to 200 characters without control characters", "Lochaber"
 }
 
 text! {
     /// The name of a time zone that the bundled IANA database has.
-    ZoneName, 1..=64, |text| TimeZone::get(text).is_ok(),
+    ZoneName, 1..=64, "^[A-Za-z0-9_+/-]*$", |text| TimeZone::get(text).is_ok(),
     "must be a name of the IANA time zone database, such as Europe/London", "Europe/London"
 }
 
@@ -131,6 +132,17 @@ impl ZoneName {
         // a ZoneName is made only from a name that the bundled database has
         TimeZone::get(&self.0).unwrap_or(TimeZone::UTC)
     }
+}
+
+/// Variables that are each named once, as the contract says.
+fn distinct<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<Variable>>, D::Error> {
+    let variables: Option<Vec<Variable>> = Option::deserialize(deserializer)?;
+    for (at, variable) in variables.iter().flatten().enumerate() {
+        if variables.iter().flatten().take(at).any(|earlier| earlier == variable) {
+            return Err(D::Error::custom(format!("{} is named twice", variable.name())));
+        }
+    }
+    Ok(variables)
 }
 
 fn variables_schema() -> Schema {
@@ -144,4 +156,35 @@ fn variables_schema() -> Schema {
     let mut list = list;
     list.schema_type = utoipa::openapi::schema::SchemaType::Array(vec![Type::Array, Type::Null]);
     Schema::Array(list)
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn body(member: &str, value: &serde_json::Value) -> Result<StationBody, serde_json::Error> {
+        let mut body = json!({"name": "x"});
+        body[member] = value.clone();
+        serde_json::from_value(body)
+    }
+
+    #[test]
+    fn a_variable_is_named_once() {
+        assert!(body("variables", &json!(["snow_drift", "wind_speed"])).is_ok());
+        let error = body("variables", &json!(["snow_drift", "wind_speed", "snow_drift"])).unwrap_err().to_string();
+        assert!(error.contains("snow_drift is named twice"), "{error}");
+    }
+
+    #[test]
+    fn what_a_name_may_hold_is_what_the_contract_says() {
+        let schema = serde_json::to_value(StationName::schema()).unwrap();
+        let validator = jsonschema::validator_for(&schema).unwrap();
+        for name in ["Lochaber", "Öræfi", "", "a\nb", "\u{7f}", "\u{85}", "\u{a0}", &"x".repeat(200), &"x".repeat(201)]
+        {
+            let value = json!(name);
+            assert_eq!(body("name", &value).is_ok(), validator.is_valid(&value), "{name:?}");
+        }
+    }
 }

@@ -3,7 +3,7 @@
 use axum::{
     body::Bytes,
     extract::{FromRequest, Request, rejection::BytesRejection},
-    http::{HeaderMap, StatusCode, header},
+    http::{HeaderMap, HeaderValue, StatusCode, header},
 };
 use serde::de::DeserializeOwned;
 use utoipa::ToSchema;
@@ -71,10 +71,22 @@ impl<S: Send + Sync> FromRequest<S> for Body {
     type Rejection = ApiError;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Self::Rejection> {
+        uncompressed(request.headers())?;
         let limit = request.extensions().get::<BodyLimit>().copied();
         let read = Bytes::from_request(request, state).await;
         read.map(Self).map_err(|rejection| ApiError(unreadable(&rejection, limit)))
     }
+}
+
+/// Refuses a content coding: bytes that were compressed would be read as a malformed file.
+fn uncompressed(headers: &HeaderMap) -> Result<(), Problem> {
+    let codings = headers.get_all(header::CONTENT_ENCODING).iter();
+    let plain = |value: &HeaderValue| value.as_bytes().eq_ignore_ascii_case(b"identity");
+    if codings.into_iter().all(plain) {
+        return Ok(());
+    }
+    let detail = "Content-Encoding is not supported: send the body as it is";
+    Err(Problem::new(Code::UnsupportedMediaType, detail))
 }
 
 fn unreadable(rejection: &BytesRejection, limit: Option<BodyLimit>) -> Problem {
@@ -139,4 +151,17 @@ fn pointer_or_body(pointer: &str) -> &str {
 
 fn not_json(error: &serde_json::Error) -> Problem {
     Problem::new(Code::InvalidJson, format!("not JSON: {error}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_compressed_body_is_refused_as_such() {
+        let with = |value| HeaderMap::from_iter([(header::CONTENT_ENCODING, HeaderValue::from_static(value))]);
+        assert!(uncompressed(&HeaderMap::new()).is_ok());
+        assert!(uncompressed(&with("identity")).is_ok());
+        assert_eq!(uncompressed(&with("gzip")).unwrap_err().code, Code::UnsupportedMediaType);
+    }
 }

@@ -35,13 +35,7 @@ impl Tags {
         if text == "*" {
             return Ok(Some(Self::Any));
         }
-        let tags = text.split(',').map(|tag| {
-            let tag = tag.trim();
-            let tag = tag.strip_prefix("W/").unwrap_or(tag);
-            let quoted = tag.len() >= 2 && tag.starts_with('"') && tag.ends_with('"');
-            quoted.then(|| tag.to_owned()).ok_or_else(refuse)
-        });
-        Ok(Some(Self::Listed(tags.collect::<Result<_, _>>()?)))
+        listed(text).map(|tags| Some(Self::Listed(tags))).ok_or_else(refuse)
     }
 
     fn names(&self, current: Option<&str>) -> bool {
@@ -50,6 +44,23 @@ impl Tags {
             (Self::Any, Some(_)) => true,
             (Self::Listed(tags), Some(current)) => tags.iter().any(|tag| tag == current),
         }
+    }
+}
+
+/// The entity tags of a list, each with its quotes and without `W/`; none where the list is malformed. A comma is a
+/// separator only outside of the quotes.
+fn listed(text: &str) -> Option<Vec<String>> {
+    let mut tags = Vec::new();
+    let mut rest = text;
+    loop {
+        let opaque = rest.strip_prefix("W/").unwrap_or(rest).strip_prefix('"')?;
+        let (tag, after) = opaque.split_once('"')?;
+        tags.push(format!("\"{tag}\""));
+        let after = after.trim_start();
+        if after.is_empty() {
+            return Some(tags);
+        }
+        rest = after.strip_prefix(',')?.trim_start();
     }
 }
 
@@ -121,5 +132,16 @@ mod tests {
         let mut headers = HeaderMap::new();
         headers.insert(header::IF_MATCH, HeaderValue::from_static("abc"));
         assert_eq!(Tags::parse(&header::IF_MATCH, &headers).unwrap_err().code, Code::InvalidHeader);
+    }
+
+    #[test]
+    fn lists_are_read_as_rfc_9110_writes_them() {
+        assert_eq!(
+            listed(r#""a", W/"b","c,d" , "","e""#).unwrap(),
+            [r#""a""#, r#""b""#, r#""c,d""#, r#""""#, r#""e""#]
+        );
+        for bad in ["", "a", "\"", "\"a", "\"a\"b\"", "\"a\" \"b\"", "\"a\",", "w/\"a\"", "*, \"a\""] {
+            assert!(listed(bad).is_none(), "{bad}");
+        }
     }
 }

@@ -11,7 +11,10 @@ use jiff::civil::Date;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
-use utoipa::ToSchema;
+use utoipa::{
+    ToSchema,
+    openapi::schema::{Object, ObjectBuilder, Type},
+};
 
 use super::{Accepted, Description, invalid_inputs};
 use crate::{
@@ -41,7 +44,7 @@ const ALWAYS: (Date, Date) = (Date::constant(0, 1, 1), Date::constant(9999, 12, 
 #[serde(deny_unknown_fields)]
 pub struct Inputs {
     /// The station whose observations train the model.
-    #[schema(inline)]
+    #[schema(schema_with = station_schema)]
     pub station: StationId,
     /// What counts as an avalanche day: `observed` (an avalanche was seen) or `presumed` (seen or judged likely).
     #[schema(value_type = String, pattern = "^(observed|presumed)$", example = "observed")]
@@ -74,6 +77,15 @@ pub struct Inputs {
     #[serde(default)]
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_u64, default = 0)]
     pub seed: u64,
+}
+
+/// The description of a process stands alone: a reference to the schema of a station's name would lead nowhere.
+fn station_schema() -> Object {
+    ObjectBuilder::new()
+        .schema_type(Type::String)
+        .pattern(Some(StationId::PATTERN))
+        .description(Some("The station whose observations train the model."))
+        .build()
 }
 
 fn default_feature_set() -> FeatureSetId {

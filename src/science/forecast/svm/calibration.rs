@@ -64,8 +64,7 @@ impl Platt {
 
 /// Fits the sigmoid to decision values that the machine did not train on, one label each.
 ///
-/// Regularised targets (N+ + 1) / (N+ + 2) and 1 / (N- + 2); Newton's method with backtracking (Lin, Lin & Weng 2007,
-/// algorithm 1).
+/// Regularised targets (N+ + 1) / (N+ + 2) and 1 / (N- + 2); Newton's method with backtracking (Lin, Lin & Weng 2007).
 ///
 /// # Errors
 /// [`CalibrationError`].
@@ -158,7 +157,7 @@ impl Likelihood<'_> {
         self.decision.iter().zip(self.labels).map(|(&f, &event)| (f, if event { self.high } else { self.low }))
     }
 
-    /// `sum -(t ln p + (1 - t) ln(1 - p))`, in the form of Lin, Lin & Weng (2007), eq. 5-6, that cannot overflow.
+    /// `sum -(t ln p + (1 - t) ln(1 - p))`, in the form of Lin, Lin & Weng (2007) that cannot overflow.
     fn loss(&self, platt: Platt) -> f64 {
         self.targets().fold(0.0, |sum, (f, t)| {
             let z = platt.a * f + platt.b;

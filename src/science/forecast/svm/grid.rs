@@ -5,6 +5,7 @@ use std::sync::Mutex;
 
 use multiversion::multiversion;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::gram::{Gram, PairTable, Selection};
@@ -19,7 +20,7 @@ use crate::forecast::verification::auc;
 use crate::progress::Progress;
 
 /// The candidates: every cost with every gamma.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Grid {
     /// Costs C before class weights, > 0.
     pub c: Vec<f64>,
@@ -34,7 +35,7 @@ impl Default for Grid {
 }
 
 /// A candidate and its score.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GridPoint {
     /// Cost before class weights.
     pub c: f64,
@@ -220,7 +221,7 @@ impl<'a> Steps<'a> {
     }
 }
 
-/// Held-out decision values by [cost][fold][row of the fold].
+/// Held-out decision values by cost, fold and row of the fold.
 type ByCost = Vec<Vec<Vec<f64>>>;
 
 struct Search<'a> {
@@ -233,7 +234,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Decision values by [gamma][cost][fold][row].
+    /// Decision values by gamma, cost, fold and row.
     fn run(&self, gammas: &[Option<f64>]) -> Result<Vec<ByCost>, GridError> {
         let n = self.x.rows();
         let pairs = 2 * Gram::bytes(n);
@@ -345,7 +346,7 @@ struct Signed {
     rho: f64,
 }
 
-/// Decision values by [machine][held-out row]; `fill` writes the kernel values of a row with the training rows.
+/// Decision values by machine and held-out row; `fill` writes the kernel values of a row with the training rows.
 fn held_out_values(fold: &Fold, machines: &[Signed], mut fill: impl FnMut(usize, &mut [f32])) -> Vec<Vec<f64>> {
     let mut values = vec![Vec::with_capacity(fold.held_out.len()); machines.len()];
     let mut kernel_row = vec![0.0_f32; lanes::padded(fold.training.len())];

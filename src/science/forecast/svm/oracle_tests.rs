@@ -293,7 +293,9 @@ fn a_fit_that_does_not_get_there_says_so() {
     let error = train(&p.x, &p.labels, p.kernel, p.cost, &few).unwrap_err();
     assert!(matches!(error, SolverError::TooManyIterations { iterations: 5, gap } if gap > 1e-3), "{error}");
     // beyond what double precision carries
-    let finer = SolverOptions { epsilon: 1e-300, max_iterations: 50_000, ..SolverOptions::default() };
-    let error = train(&p.x, &p.labels, p.kernel, p.cost, &finer).unwrap_err();
-    assert!(matches!(error, SolverError::TooManyIterations { .. } | SolverError::NotConverged { .. }), "{error}");
+    for epsilon in [1e-16, 1e-300] {
+        let finer = SolverOptions { epsilon, max_iterations: 50_000, ..SolverOptions::default() };
+        let error = train(&p.x, &p.labels, p.kernel, p.cost, &finer).unwrap_err();
+        assert!(matches!(error, SolverError::TooManyIterations { .. } | SolverError::NotConverged { .. }), "{error}");
+    }
 }

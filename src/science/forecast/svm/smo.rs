@@ -6,7 +6,7 @@ use super::lanes::{BLOCK, from_order, order, padded, subtract_scaled};
 use super::rows::Rows;
 use super::solver::{Cost, SolverError, SolverOptions};
 
-/// Least curvature of a working pair (Fan, Chen & Lin 2005, eq. 11): pairs of equal rows have none of their own.
+/// Least curvature of a working pair (Fan, Chen & Lin 2005): pairs of equal rows have none of their own.
 const TAU: f64 = 1e-12;
 
 /// Share of its range within which a variable counts as being at a bound when the threshold is computed.
@@ -143,7 +143,7 @@ impl Dual {
         }
     }
 
-    /// Largest residual of what can rise and least of what can fall: m and M of Fan, Chen & Lin (2005), eq. 6.
+    /// Largest residual of what can rise and least of what can fall: m and M of Fan, Chen & Lin (2005).
     fn extremes(&self) -> (f64, f64) {
         let most = self.residual.iter().zip(&self.rise).fold(f64::NEG_INFINITY, |m, (r, up)| m.max(r + up));
         let least = self.residual.iter().zip(&self.fall).fold(f64::INFINITY, |m, (r, down)| m.min(r + down));
@@ -256,7 +256,9 @@ fn descend(dual: &mut Dual, rows: &mut dyn Rows, epsilon: f64, budget: usize) ->
             return (iteration, true);
         }
         let i = scan.first;
-        let j = select_second(&dual.residual, &dual.fall, scan.most, diagonal[i], &diagonal, rows.row(i));
+        let second = select_second(&dual.residual, &dual.fall, scan.most, diagonal[i], &diagonal, rows.row(i));
+        // none: what is left of the gap vanishes in single precision, and the fresh residual decides
+        let Some(j) = second else { return (iteration, true) };
         let (row_i, row_j) = rows.pair(i, j);
         let curvature = f64::from(diagonal[i]) + f64::from(diagonal[j]) - 2.0 * f64::from(row_i[j]);
         let unbounded = (scan.most - dual.residual[j]) / curvature.max(TAU);
@@ -271,14 +273,21 @@ fn descend(dual: &mut Dual, rows: &mut dyn Rows, epsilon: f64, budget: usize) ->
     (budget, scan.is_final(epsilon))
 }
 
-/// The partner that promises the largest decrease, `b^2 / q` of Fan, Chen & Lin (2005), eq. 10 (WSS 2).
+/// The partner that promises the largest decrease, `b^2 / q` (WSS 2 of Fan, Chen & Lin 2005); `None` if none promises any.
 #[inline(always)]
-fn select_second(residual: &[f64], fall: &[f64], most: f64, diagonal_i: f32, diagonal: &[f32], row: &[f32]) -> usize {
+fn select_second(
+    residual: &[f64],
+    fall: &[f64],
+    most: f64,
+    diagonal_i: f32,
+    diagonal: &[f32],
+    row: &[f32],
+) -> Option<usize> {
     let blocks = || {
         let scores = residual.as_chunks::<BLOCK>().0.iter().zip(fall.as_chunks::<BLOCK>().0);
         scores.zip(diagonal.as_chunks::<BLOCK>().0.iter().zip(row.as_chunks::<BLOCK>().0))
     };
-    let mut best = (i32::MIN, 0);
+    let mut best = (-1, 0);
     for (block, ((r, down), (d, k))) in blocks().enumerate() {
         let mut peak = i32::MIN;
         for lane in 0..BLOCK {
@@ -289,10 +298,9 @@ fn select_second(residual: &[f64], fall: &[f64], most: f64, diagonal_i: f32, dia
         }
     }
     let (peak, block) = best;
-    let found = blocks().nth(block).and_then(|((r, down), (d, k))| {
-        (0..BLOCK).find(|&lane| promise(most, r[lane] + down[lane], diagonal_i, d[lane], k[lane]) == peak)
-    });
-    block * BLOCK + found.unwrap_or(0)
+    let ((r, down), (d, k)) = blocks().nth(block)?;
+    let lane = (0..BLOCK).find(|&lane| promise(most, r[lane] + down[lane], diagonal_i, d[lane], k[lane]) == peak)?;
+    (peak >= 0).then_some(block * BLOCK + lane)
 }
 
 /// How much a partner promises, as an integer that orders as the promise does; below 0 for one that promises nothing.

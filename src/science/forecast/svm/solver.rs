@@ -1,5 +1,6 @@
 //! The C-SVC dual problem: costs, options, errors and the solver on a Gram matrix.
 
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::gram::{Gram, Selection};
@@ -7,7 +8,7 @@ use super::rows::{Rows, WholeRows};
 use super::smo::Dual;
 
 /// Upper bounds of the dual variables: how much a margin violation costs in each class. Dimensionless, > 0.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
     /// C+, the bound of events.
     pub positive: f64,
@@ -58,7 +59,7 @@ pub struct Solution {
     pub alpha: Vec<f64>,
     /// Threshold: the decision value is `sum alpha_i y_i k(x_i, x) - rho`.
     pub rho: f64,
-    /// `1/2 a'Qa - sum a`, which is minimised (LIBSVM's sign).
+    /// `1/2 a'Qa - sum a`, which is minimised (LIBSVM's sign), on the rows in single precision that the solver works with.
     pub objective: f64,
     /// SMO iterations.
     pub iterations: usize,
