@@ -10,7 +10,7 @@ use axum::{
     middleware::{self, Next},
     response::{IntoResponse, Response},
 };
-use tower::ServiceBuilder;
+use tower::{ServiceBuilder, limit::GlobalConcurrencyLimitLayer};
 use tower_http::{
     catch_panic::CatchPanicLayer,
     compression::CompressionLayer,
@@ -89,7 +89,8 @@ pub fn router(state: AppState) -> Router {
     let limits = ServiceBuilder::new()
         .layer(HandleErrorLayer::new(limit_reached))
         .load_shed()
-        .concurrency_limit(state.config.max_requests)
+        // one count for all addresses: a plain limit would count each of them by itself
+        .layer(GlobalConcurrencyLimitLayer::new(state.config.max_requests))
         .timeout(state.config.request_timeout.max(Duration::from_secs(1)));
     router
         .fallback(not_found)
