@@ -91,7 +91,7 @@ function beginning() {
   const step = (about, line) => [h('p', null, about), h('pre', null, h('code', null, line))];
   return [
     step('1. Make the station.', `curl -X PUT ${at}/v1/stations/my-station${key} ${json} -d '{"name": "My station", "timezone": "Europe/London"}'`),
-    step('2. Send its days: the CSV of the API, NDJSON, JSON, or with ?format=sais the export of the Scottish service. A model needs at least two winters with avalanche days.',
+    step('2. Send its days: the CSV of the API, NDJSON, JSON, or with ?format=sais the export of the Scottish service. A model needs at least three seasons with avalanche days and days without.',
       `curl -X POST ${at}/v1/stations/my-station/observations${key} -H 'Content-Type: text/csv' --data-binary @observations.csv`),
     step('3. Train a model; the first one of a station becomes its active one.',
       `curl -X POST ${at}/v1/processes/train-model/execution${key} ${json} -d '{"inputs": {"station": "my-station", "label": "observed", "lead": 0}}'`),

@@ -61,6 +61,7 @@ export function ago(date, now) {
   if (days === 0) return 'today';
   if (days === 1) return 'yesterday';
   if (days === -1) return 'tomorrow';
+  if (days > 730) return `${Math.round(days / 365.25)} years ago`;
   return days < 0 ? `in ${counted(-days, 'day')}` : `${counted(days, 'day')} ago`;
 }
 
