@@ -37,10 +37,14 @@ const REQUEST_ID_HEADER: HeaderName = HeaderName::from_static("x-request-id");
 /// A request id from outside is kept only up to this length: it goes into every log line.
 const LONGEST_REQUEST_ID: usize = 128;
 
+/// Answered however busy the service is: whoever watches it must not end a process that works hard.
+fn vital_signs() -> OpenApiRouter<AppState> {
+    OpenApiRouter::with_openapi(openapi::Document::openapi()).routes(routes!(health::livez))
+}
+
 fn routes() -> OpenApiRouter<AppState> {
-    OpenApiRouter::with_openapi(openapi::Document::openapi())
+    OpenApiRouter::new()
         // the service itself
-        .routes(routes!(health::livez))
         .routes(routes!(health::readyz))
         .routes(routes!(docs::openapi_json))
         .routes(routes!(docs::list_problems))
@@ -79,13 +83,14 @@ fn routes() -> OpenApiRouter<AppState> {
 /// The contract of all addresses, before [`openapi`] completes it.
 #[must_use]
 pub fn document() -> utoipa::openapi::OpenApi {
-    routes().into_openapi()
+    vital_signs().merge(routes()).into_openapi()
 }
 
 /// The whole service.
 pub fn router(state: AppState) -> Router {
     let (router, _) = routes().split_for_parts();
     let router = router.merge(crate::web::router());
+    let (vital_signs, _) = vital_signs().split_for_parts();
     let limits = ServiceBuilder::new()
         .layer(HandleErrorLayer::new(limit_reached))
         .load_shed()
@@ -100,6 +105,7 @@ pub fn router(state: AppState) -> Router {
         .layer(DefaultBodyLimit::max(state.config.max_body_bytes))
         .layer(axum::Extension(BodyLimit(state.config.max_body_bytes)))
         .layer(limits)
+        .merge(vital_signs.method_not_allowed_fallback(method_not_allowed))
         .layer(CatchPanicLayer::custom(from_panic))
         .layer(CompressionLayer::new())
         .layer(middleware::from_fn(with_request_id))

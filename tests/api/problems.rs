@@ -214,5 +214,7 @@ async fn more_requests_than_can_be_worked_on_are_refused_for_now() {
     };
     refused.problem("overloaded");
     assert_eq!(refused.header("retry-after"), "10");
+    // a busy process lives, and whoever restarts it for not saying so makes it worse
+    assert_eq!(app.get("/livez").await.status, 200);
     drop(slow);
 }
