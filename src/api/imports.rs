@@ -203,7 +203,7 @@ pub async fn import_observations(
 #[derive(ToSchema)]
 #[schema(as = DayOrDays)]
 #[serde(untagged)]
-#[expect(dead_code, reason = "stands in the contract; the bodies are read row by row")]
+#[expect(dead_code, clippy::large_enum_variant, reason = "stands in the contract; the bodies are read row by row")]
 pub enum DayOrDays {
     /// One day.
     One(DatedObservation),

@@ -133,8 +133,8 @@ pub struct Problem {
     pub detail: String,
     /// The fields at fault.
     pub errors: Vec<FieldError>,
-    /// Further members of the problem document: an import's report.
-    pub extensions: serde_json::Map<String, serde_json::Value>,
+    /// Further members of the problem document: an import's report. Boxed, so that a `Result` stays small.
+    pub extensions: Box<serde_json::Map<String, serde_json::Value>>,
     /// For [`Code::Internal`]: the cause, for the log and never for the caller.
     pub cause: Option<String>,
 }
@@ -142,7 +142,7 @@ pub struct Problem {
 impl Problem {
     /// A problem without fields at fault.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
-        Self { code, detail: detail.into(), errors: Vec::new(), extensions: serde_json::Map::new(), cause: None }
+        Self { code, detail: detail.into(), errors: Vec::new(), extensions: Box::default(), cause: None }
     }
 
     /// A problem with one field at fault; its detail is the problem's.

@@ -222,7 +222,7 @@ pub(super) async fn run(context: &Context) -> Result<(), Failure> {
     let provenance = json!({"version": context.job.version, "input_hash": input_hash, "seed": inputs.seed});
     let now = clock::now();
     let id = new_id();
-    let scores = serde_json::to_value(&trained.evaluation.scores.svm).map_err(science)?;
+    let scores = serde_json::to_value(trained.evaluation.scores.svm).map_err(science)?;
     let model = NewModel {
         record: ModelRecord {
             id,
