@@ -73,6 +73,7 @@ codes! {
     RequestTimeout "request-timeout" 408 "The request took too long" "The request was not complete, or not answered, in time. Send it again, in smaller parts if it is large.";
     PreconditionFailed "precondition-failed" 412 "The resource is not the one you saw" "`If-Match` or `If-None-Match` does not hold: somebody changed the resource. Read it again and repeat with its new ETag.";
     PayloadTooLarge "payload-too-large" 413 "The body is too large" "The body exceeds the limit in the detail. Send it in several parts.";
+    Misdirected "misdirected" 421 "The request was meant for another host" "A service that needs no key answers only to the name of its own machine, so that no page of the web can reach it under a name of its own. Use `localhost` or the address; behind a proxy start with a key or with `--allow-anonymous`.";
     UnsupportedMediaType "unsupported-media-type" 415 "The content type is not supported" "The detail lists the content types that this call accepts.";
     ModelMismatch "model-mismatch" 422 "The model does not fit the station" "The model was trained for another station or lead. Name one of this station and lead.";
     Interrupted "interrupted" 500 "The job was interrupted" "The service ended while the job was running. Submit it again.";

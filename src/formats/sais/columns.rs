@@ -83,6 +83,9 @@ const KNOWN: [(Column, &str, Use); 28] = [
     (C::Wetness, "Wetness", Use::Unread),
 ];
 
+/// Columns that a file may have.
+const MOST_COLUMNS: usize = 500;
+
 /// Where each column stands in this file.
 #[derive(Debug)]
 pub(super) struct Columns {
@@ -98,6 +101,10 @@ pub(super) struct Columns {
 impl Columns {
     /// Reads the header, whose text is `header`, on line `line`.
     pub(super) fn read(header: &str, fields: &[Field<'_>], line: u64) -> Result<Self, FormatError> {
+        // the export has 35; each name of a longer header would be held against all before it
+        if fields.len() > MOST_COLUMNS {
+            return Err(FormatError::TooManyColumns { line, most: MOST_COLUMNS });
+        }
         let mut columns = Self { at: [None; KNOWN.len()], unknown: Vec::new(), width: fields.len(), fewest: 0 };
         for (position, field) in fields.iter().enumerate() {
             let name = field.text.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -228,6 +235,8 @@ mod tests {
         assert!(matches!(columns("Area,Cloud"), Err(FormatError::MissingColumn { line: 1, column: "Date", .. })));
         let twice = columns("Date,Cloud, cloud").unwrap_err();
         assert!(matches!(twice, FormatError::DuplicateColumn { line: 1, column: 12, .. }), "{twice}");
+        let wide = columns(&(0..600).map(|at| at.to_string()).collect::<Vec<_>>().join(",")).unwrap_err();
+        assert!(matches!(wide, FormatError::TooManyColumns { line: 1, most: 500 }), "{wide}");
         assert!(matches!(columns("Date,X,X"), Err(FormatError::DuplicateColumn { column: 8, .. })));
     }
 }
