@@ -118,9 +118,12 @@ impl Columns {
                 columns.unknown.push(name);
             }
         }
-        if columns.position(C::Date).is_none() {
-            let expected = "the names of the export: Date, Area, Air Temp, Wind Dir, Wind Speed ...".to_owned();
-            return Err(FormatError::MissingColumn { line, column: "Date", expected });
+        // every export has both; a table of another origin that has a date alone would replace good days with empty ones
+        for (column, name) in [(C::Date, "Date"), (C::Area, "Area")] {
+            if columns.position(column).is_none() {
+                let expected = "the names of the export: Date, Area, Air Temp, Wind Dir, Wind Speed ...".to_owned();
+                return Err(FormatError::MissingColumn { line, column: name, expected });
+            }
         }
         columns.fewest -= usize::from(columns.position(C::Comments) == Some(columns.fewest - 1));
         Ok(columns)
@@ -219,7 +222,9 @@ mod tests {
     }
 
     #[test]
-    fn a_header_without_a_date_or_with_a_column_twice_is_refused() {
+    fn a_header_without_date_and_area_or_with_a_column_twice_is_refused() {
+        let other = columns("date,season,air_temp_c,snow_temp_c").unwrap_err();
+        assert!(matches!(other, FormatError::MissingColumn { line: 1, column: "Area", .. }), "{other}");
         assert!(matches!(columns("Area,Cloud"), Err(FormatError::MissingColumn { line: 1, column: "Date", .. })));
         let twice = columns("Date,Cloud, cloud").unwrap_err();
         assert!(matches!(twice, FormatError::DuplicateColumn { line: 1, column: 12, .. }), "{twice}");
