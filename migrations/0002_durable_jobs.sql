@@ -20,10 +20,11 @@ CREATE INDEX job_by_parent ON job (parent, position) WHERE parent IS NOT NULL;
 CREATE INDEX job_by_input ON job (input_hash, process_id) WHERE status = 'successful';
 
 CREATE TABLE job_checkpoint (
-    job     TEXT PRIMARY KEY REFERENCES job (id) ON DELETE CASCADE,
-    attempt INTEGER NOT NULL,
-    made    TEXT NOT NULL,
-    bytes   BLOB NOT NULL
+    job      TEXT PRIMARY KEY REFERENCES job (id) ON DELETE CASCADE,
+    attempt  INTEGER NOT NULL,
+    made     TEXT NOT NULL,
+    bytes    BLOB NOT NULL,
+    progress INTEGER NOT NULL                                           -- of the attempt when it was saved
 ) STRICT;
 
 CREATE TABLE job_event (

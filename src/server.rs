@@ -136,8 +136,8 @@ impl Server {
             }
             () = &mut give_up => tracing::warn!("open connections were cut"),
         }
-        // it ends with the same token
-        let _ = caretaker.await;
+        // it ends with the same token, unless an engine that does not answer holds it up
+        let _ = tokio::time::timeout(deadline, caretaker).await;
         state.store.close().await;
         tracing::info!("stopped");
         Ok(ended?)
@@ -165,11 +165,13 @@ pub async fn work(
     deadline: Duration,
     stop: CancellationToken,
 ) -> Result<(), ServerError> {
-    let engine = Nats::connect(address, lease).await?;
+    let engine = Arc::new(Nats::connect(address, lease).await?);
     let link = NatsLink::new(engine.client());
-    let worker = Worker::start(Arc::new(engine), Arc::new(link), options)?;
+    let worker = Worker::start(Arc::clone(&engine) as Arc<dyn Engine>, Arc::new(link), options)?;
     stop.cancelled().await;
     worker.stop(deadline).await;
+    // the tickets that it gave back are on their way
+    engine.flush().await;
     tracing::info!(fenced = worker.fenced_results(), "stopped");
     Ok(())
 }

@@ -108,7 +108,15 @@ async fn bytes(
     if conditions.is_fresh(&tag) {
         return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
     }
-    let wanted = wanted_range(headers, &tag, output.size)?;
+    let wanted = match wanted_range(headers, &tag, output.size) {
+        Ok(wanted) => wanted,
+        Err(problem) => {
+            let mut refusal = ApiError(problem).into_response();
+            let length = HeaderValue::from_str(&format!("bytes */{}", output.size)).map_err(Problem::internal)?;
+            refusal.headers_mut().insert(header::CONTENT_RANGE, length);
+            return Ok(refusal);
+        }
+    };
     let range = wanted.clone().map_or(0..output.size, |range| *range.start()..range.end() + 1);
     let body = state.desk.artifacts().get(&output.sha256, range).await.map_err(Problem::internal)?;
     let mut response = body.into_response();
@@ -129,7 +137,7 @@ async fn bytes(
 
 /// The one range that is asked for; none where all is: without `Range`, with several (which may be ignored, RFC 9110
 /// section 14.2) or where `If-Range` names another version.
-fn wanted_range(headers: &HeaderMap, tag: &str, size: u64) -> Result<Option<RangeInclusive<u64>>, ApiError> {
+fn wanted_range(headers: &HeaderMap, tag: &str, size: u64) -> Result<Option<RangeInclusive<u64>>, Problem> {
     let Some(text) = headers.get(header::RANGE).and_then(|range| range.to_str().ok()) else { return Ok(None) };
     let other_version = headers.get(header::IF_RANGE).is_some_and(|version| version.as_bytes() != tag.as_bytes());
     let Ok(parsed) = http_range_header::parse_range_header(text) else { return Ok(None) };
@@ -140,7 +148,7 @@ fn wanted_range(headers: &HeaderMap, tag: &str, size: u64) -> Result<Option<Rang
         Ok(ranges) => Ok(ranges.into_iter().next()),
         Err(_) => {
             let detail = format!("the output has {size} bytes; Range must be bytes=first-last within them");
-            Err(Problem::new(Code::RangeNotSatisfiable, detail).with("length", size.into()).into())
+            Err(Problem::new(Code::RangeNotSatisfiable, detail).with("length", size.into()))
         }
     }
 }
@@ -159,7 +167,7 @@ mod tests {
     fn range(text: &str) -> Result<Option<RangeInclusive<u64>>, u16> {
         let mut headers = HeaderMap::new();
         headers.insert(header::RANGE, HeaderValue::from_str(text).unwrap());
-        wanted_range(&headers, "\"a\"", 100).map_err(|error| error.0.code.status())
+        wanted_range(&headers, "\"a\"", 100).map_err(|problem| problem.code.status())
     }
 
     #[test]

@@ -327,6 +327,7 @@ pub async fn get_job(
     conditions: Conditions,
     wait: Wait,
 ) -> ApiResult<Response> {
+    let wait = wait.within(state.config.request_timeout);
     let mut changes = state.desk.changes();
     let deadline = tokio::time::Instant::now() + wait.0;
     let closed = state.desk.closed();

@@ -191,6 +191,7 @@ pub async fn execute_process(
     headers: HeaderMap,
     Body(bytes): Body,
 ) -> ApiResult<Response> {
+    let wait = wait.within(state.config.request_timeout);
     let process = find(&path.process_id)?;
     let request: Execute = parse_json(&headers, &bytes)?;
     let labels = request.labels.unwrap_or_default();

@@ -60,7 +60,7 @@ pub async fn run(desk: Desk, keep: Keep, stop: CancellationToken) {
         }
         let patience = SignedDuration::from_secs(TICKET_PATIENCE_S);
         let before = clock::now().checked_sub(patience).unwrap_or(Timestamp::MIN);
-        if let Err(error) = issue_again(&desk, before).await {
+        if let Err(error) = issue_lost(&desk, before).await {
             tracing::error!(%error, "lost tickets could not be looked for");
         }
         if round % ROUNDS_TO_RETIRE == 0
@@ -72,18 +72,31 @@ pub async fn run(desk: Desk, keep: Keep, stop: CancellationToken) {
     }
 }
 
+/// Issues tickets again where the engine holds fewer than there are jobs: a queue that is merely long gets no doubles.
+async fn issue_lost(desk: &Desk, ticketed_before: Timestamp) -> Result<(), StoreError> {
+    // asked before the jobs are counted: one that is accepted in between has its ticket on the way
+    let held = match desk.engine().held().await {
+        Ok(held) => held,
+        Err(error) => {
+            tracing::warn!(%error, "it cannot be told whether tickets were lost");
+            return Ok(());
+        }
+    };
+    if held >= desk.store().jobs_with_tickets().await? { Ok(()) } else { issue_again(desk, ticketed_before).await }
+}
+
 async fn issue_again(desk: &Desk, ticketed_before: Timestamp) -> Result<(), StoreError> {
     let jobs = desk.store().jobs_without_ticket(ticketed_before, clock::now(), MOST_TICKETS).await?;
     desk.ticket(&jobs).await;
-    Ok(())
+    let ids: Vec<_> = jobs.iter().map(|(id, ..)| *id).collect();
+    desk.store().mark_ticketed(&ids, clock::now()).await
 }
 
 async fn retire(desk: &Desk, keep: Keep) -> Result<(), StoreError> {
     let now = clock::now();
     let before = |hours: i64| now.checked_sub(SignedDuration::from_hours(hours)).unwrap_or(Timestamp::MIN);
     let retention = Retention { ended_before: before(24 * i64::from(keep.days)), most_bytes: keep.bytes };
-    let (jobs, digests) = desk.store().retire_jobs(retention).await?;
-    desk.artifacts().remove(&digests).await;
+    let jobs = desk.retire(retention).await?;
     if jobs > 0 {
         tracing::info!(jobs, "old jobs were retired");
     }

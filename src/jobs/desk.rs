@@ -9,16 +9,16 @@ use std::{
     time::{Duration, Instant},
 };
 
-use jiff::SignedDuration;
+use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
-use tokio::sync::broadcast;
+use tokio::sync::{RwLock, broadcast};
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
 use super::{
     artifacts::Artifacts,
     engine::{Boxed, Engine, Ticket},
-    link::{Assignment, Delivery, JobLink, LinkError, LogLine, Output, Verdict},
+    link::{Artifact, Assignment, Delivery, JobLink, LinkError, LogLine, Output, Verdict},
     processes::Process,
 };
 use crate::{
@@ -30,14 +30,14 @@ use crate::{
     },
     store::{
         Store, StoreError,
-        jobs::{Answer, Beat, Claim, Held, Outcome, Reservation},
+        jobs::{Answer, Beat, Claim, Ended, Held, Outcome, Reservation, Retention},
     },
 };
 
 /// Progress is written at most this often a job; a sign of life between two writes is only read.
 const WRITE_EVERY: Duration = Duration::from_millis(500);
 
-/// Results up to this size stand in the row of the job, bytes.
+/// An output up to this size stands in the row of the job, bytes.
 const LARGEST_INLINE: usize = 256 * 1024;
 
 /// The desk; clones share it.
@@ -53,6 +53,8 @@ struct Inner {
     changes: broadcast::Sender<Uuid>,
     written: Mutex<HashMap<Uuid, (Instant, Report)>>,
     fenced: AtomicU64,
+    // outputs are stored and named under `read`, no more named and removed under `write`: equal bytes are stored once
+    naming: RwLock<()>,
 }
 
 /// A wish to have a process executed.
@@ -98,6 +100,7 @@ impl Desk {
             changes: broadcast::channel(1024).0,
             written: Mutex::default(),
             fenced: AtomicU64::new(0),
+            naming: RwLock::default(),
         }))
     }
 
@@ -150,7 +153,7 @@ impl Desk {
     pub async fn submit(
         &self,
         submission: Submission,
-        render: impl FnOnce(&Job) -> Answer,
+        render: impl FnOnce(&Job) -> Answer + Send + 'static,
     ) -> Result<Submitted, Problem> {
         if self.0.stopping.is_cancelled() {
             return Err(Problem::new(Code::ShuttingDown, "no new jobs are taken"));
@@ -170,10 +173,22 @@ impl Desk {
             }
             Held::New => {}
         }
+        // to its end even where the caller hangs up meanwhile: a key that nobody lets go of would be at work for ever
+        let desk = self.clone();
+        let work = tokio::spawn(async move { desk.accept_under(&reservation, submission, render).await });
+        work.await.map_err(Problem::internal)?
+    }
+
+    async fn accept_under(
+        &self,
+        reservation: &Reservation,
+        submission: Submission,
+        render: impl FnOnce(&Job) -> Answer,
+    ) -> Result<Submitted, Problem> {
         let result = self.accept(submission, render).await;
         if !matches!(result, Ok(Submitted::New(_))) {
             // a refusal is not remembered, so that the mended request may use the key; a reused job is found again anyway
-            self.0.store.let_key_go(&reservation).await.map_err(Problem::internal)?;
+            self.0.store.let_key_go(reservation).await.map_err(Problem::internal)?;
         }
         result
     }
@@ -214,9 +229,11 @@ impl Desk {
     /// # Errors
     /// [`StoreError::Transition`] where it has ended, [`StoreError::Missing`] where there is none.
     pub async fn dismiss(&self, id: Uuid) -> Result<(), StoreError> {
-        for id in self.0.store.dismiss_job(id, clock::now()).await? {
-            self.changed(id);
+        let (ids, ended) = self.0.store.dismiss_job(id, clock::now()).await?;
+        for id in ids {
+            self.over(id);
         }
+        self.see_to(ended).await;
         Ok(())
     }
 
@@ -225,12 +242,24 @@ impl Desk {
     /// # Errors
     /// [`StoreError::Missing`] where there is no ended job of that id.
     pub async fn remove(&self, id: Uuid) -> Result<(), StoreError> {
+        let _alone = self.0.naming.write().await;
         let digests = self.0.store.remove_job(id).await?;
         self.0.artifacts.remove(&digests).await;
         Ok(())
     }
 
-    /// Issues tickets; where the engine does not answer, the caretaker issues them again.
+    /// Removes ended jobs that are too old or too many; says how many.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where it cannot be stored.
+    pub async fn retire(&self, retention: Retention) -> Result<usize, StoreError> {
+        let _alone = self.0.naming.write().await;
+        let (jobs, digests) = self.0.store.retire_jobs(retention).await?;
+        self.0.artifacts.remove(&digests).await;
+        Ok(jobs)
+    }
+
+    /// Issues tickets; where the engine does not answer, the caretaker issues them later.
     pub async fn ticket(&self, jobs: &[(Uuid, u8, u32)]) {
         if jobs.is_empty() {
             return;
@@ -239,11 +268,10 @@ impl Desk {
             jobs.iter().map(|&(job, priority, attempt)| Ticket { job, priority, attempt }).collect();
         if let Err(error) = self.0.engine.publish(&tickets).await {
             tracing::warn!(%error, jobs = tickets.len(), "tickets could not be issued; they are issued again later");
-            return;
-        }
-        let ids: Vec<Uuid> = jobs.iter().map(|(id, ..)| *id).collect();
-        if let Err(error) = self.0.store.mark_ticketed(&ids, clock::now()).await {
-            tracing::warn!(%error, "issued tickets could not be noted; they are issued again later");
+            let ids: Vec<Uuid> = jobs.iter().map(|(id, ..)| *id).collect();
+            if let Err(error) = self.0.store.mark_ticketed(&ids, Timestamp::UNIX_EPOCH).await {
+                tracing::warn!(%error, "that tickets are missing could not be noted; they are issued again later still");
+            }
         }
     }
 
@@ -273,6 +301,10 @@ impl Desk {
         let (job, checkpoint) = match claim {
             Claim::Busy => return Ok(Assignment::Busy),
             Claim::Over => return Ok(Assignment::Over),
+            Claim::GivenUp(ended) => {
+                self.see_to(ended).await;
+                return Ok(Assignment::Over);
+            }
             Claim::Taken { job, checkpoint } => (job, checkpoint),
         };
         let payload = match Process::from_id(&job.process_id) {
@@ -308,7 +340,17 @@ impl Desk {
         } else {
             self.0.store.is_attempt_current(id, attempt).await.map_err(link)?
         };
-        Ok(if beat == Beat::Go { Verdict::Counts } else { Verdict::Fenced })
+        if beat == Beat::Go {
+            return Ok(Verdict::Counts);
+        }
+        let newer = self.0.store.job(id).await.map_err(link)?.is_some_and(|job| job.attempt != attempt);
+        if newer {
+            // not merely dismissed: a worker that was thought lost writes for an attempt that was taken over
+            self.0.fenced.fetch_add(1, Ordering::Relaxed);
+        } else {
+            self.over(id);
+        }
+        Ok(Verdict::Fenced)
     }
 
     async fn received(
@@ -334,11 +376,16 @@ impl Desk {
                 }
             };
         }
+        if self.0.store.is_attempt_current(id, attempt).await.map_err(|error| LinkError(error.to_string()))? == Beat::Stop {
+            // before its outputs are stored, which nobody would remove
+            return self.fenced(StoreError::Fenced);
+        }
+        let _naming = self.0.naming.read().await;
         let mut outputs = Vec::new();
-        for artifact in &output.artifacts {
+        let (mut results, large) = apart(&output.results);
+        for artifact in output.artifacts.iter().chain(&large) {
             outputs.push(self.0.artifacts.put(artifact).await.map_err(|error| LinkError(error.to_string()))?);
         }
-        let mut results = output.results.clone();
         if let Some(object) = results.as_object_mut() {
             for output in &outputs {
                 object.insert(output.name.clone(), reference(id, output));
@@ -382,15 +429,28 @@ impl Desk {
         compute_ms: u64,
     ) -> Result<(), StoreError> {
         let now = clock::now();
-        let kept = keep.map(|keep| Process::kept(id, keep, now)).transpose().map_err(|error| StoreError::Corrupt(error.to_string()))?;
+        let (outcome, kept) = match keep.map(|keep| Process::kept(id, keep, now)).transpose() {
+            Ok(kept) => (outcome, kept),
+            // to deliver it again would not mend it
+            Err(error) => (Outcome::Failed(Exception { code: Code::JobFailed.slug().into(), detail: error.to_string() }), None),
+        };
         let ended = self.0.store.finish_job(id, attempt, outcome, kept.as_ref(), compute_ms, now).await?;
+        self.over(id);
+        self.see_to(ended).await;
+        Ok(())
+    }
+
+    /// A job whose attempt is over.
+    fn over(&self, id: Uuid) {
         self.0.written.lock().unwrap_or_else(PoisonError::into_inner).remove(&id);
         self.changed(id);
-        for (other, ..) in &ended.to_ticket {
-            self.changed(*other);
+    }
+
+    async fn see_to(&self, ended: Ended) {
+        if let Some(parent) = ended.parent {
+            self.changed(parent);
         }
         self.ticket(&ended.to_ticket).await;
-        Ok(())
     }
 }
 
@@ -429,10 +489,21 @@ fn reference(job: Uuid, output: &crate::store::jobs::OutputRecord) -> Value {
     })
 }
 
-/// Whether a results document is small enough to stand in the row of its job.
-#[must_use]
-pub fn is_inline(bytes: usize) -> bool {
-    bytes <= LARGEST_INLINE
+/// The results document without its large members, and these as outputs of their own.
+fn apart(results: &Value) -> (Value, Vec<Artifact>) {
+    let Some(members) = results.as_object() else { return (results.clone(), Vec::new()) };
+    let mut small = serde_json::Map::new();
+    let mut large = Vec::new();
+    for (name, value) in members {
+        let text = value.to_string();
+        if text.len() <= LARGEST_INLINE {
+            small.insert(name.clone(), value.clone());
+        } else {
+            let (name, media_type) = (name.clone(), "application/json".to_owned());
+            large.push(Artifact { name, media_type, bytes: text.into_bytes() });
+        }
+    }
+    (Value::Object(small), large)
 }
 
 impl JobLink for Desk {
@@ -448,7 +519,7 @@ impl JobLink for Desk {
         Box::pin(async move {
             let lines: Vec<_> = lines.iter().map(|line| (line.level.clone(), line.message.clone())).collect();
             let stored = self.0.store.append_job_log(job, attempt, &lines, clock::now()).await;
-            stored.map_err(|error| LinkError(error.to_string()))
+            self.verdict(stored).map(|_| ())
         })
     }
 
@@ -462,7 +533,7 @@ impl JobLink for Desk {
     fn release(&self, job: Uuid, attempt: u32, compute_ms: u64) -> Boxed<'_, Result<Verdict, LinkError>> {
         Box::pin(async move {
             let released = self.0.store.release_job(job, attempt, compute_ms, clock::now()).await;
-            self.changed(job);
+            self.over(job);
             self.verdict(released)
         })
     }

@@ -17,7 +17,7 @@ use uuid::Uuid;
 use super::{
     control::Control,
     engine::{Engine, Lease},
-    link::{Assignment, Delivery, JobLink, LinkError, LogLine, Output, Verdict},
+    link::{Assignment, Delivery, JobLink, LinkError, Output, Verdict},
     processes::{Failure, Process},
 };
 use crate::domain::{
@@ -181,7 +181,7 @@ impl Worker {
                 Delivery::Failed(failed("the computation panicked".to_owned()))
             }
         };
-        self.deliver(id, attempt, &delivery, compute_ms).await;
+        self.deliver(&*lease, id, attempt, &delivery, compute_ms).await;
         lease.done().await;
     }
 
@@ -253,7 +253,7 @@ impl Worker {
     }
 
     /// Delivers until the desk has answered: a result is not thrown away because a connection was.
-    async fn deliver(&self, id: Uuid, attempt: u32, delivery: &Delivery, compute_ms: u64) {
+    async fn deliver(&self, lease: &dyn Lease, id: Uuid, attempt: u32, delivery: &Delivery, compute_ms: u64) {
         loop {
             match self.0.link.finish(id, attempt, delivery, compute_ms).await {
                 Ok(Verdict::Counts) => {
@@ -272,9 +272,8 @@ impl Worker {
                 Err(error) => {
                     tracing::warn!(job = %id, %error, "a result could not be delivered; trying again");
                     tokio::time::sleep(RETRY).await;
-                    // the lease must not end while the desk is away: a beat tells whether the attempt still counts
-                    let line = LogLine { level: "warn".into(), message: format!("delivery was repeated: {error}") };
-                    let _ = self.0.link.log(id, attempt, &[line]).await;
+                    // nobody else shall compute it meanwhile; whether that could be said does not matter
+                    let _ = lease.extend().await;
                 }
             }
         }

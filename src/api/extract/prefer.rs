@@ -28,6 +28,13 @@ impl<S: Sync> FromRequestParts<S> for Wait {
 }
 
 impl Wait {
+    /// The same, so that the answer comes before a request of at most `timeout` is given up.
+    #[must_use]
+    pub fn within(self, timeout: Duration) -> Self {
+        const MARGIN: Duration = Duration::from_secs(1);
+        Self(Duration::from_secs(self.0.min(timeout.saturating_sub(MARGIN)).as_secs()))
+    }
+
     /// Says that the preference was heard.
     pub fn applied(self, response: &mut Response) {
         if !self.0.is_zero()

@@ -3,7 +3,10 @@
 use std::{
     cmp::Reverse,
     collections::{BinaryHeap, HashSet},
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
     time::Duration,
 };
 
@@ -13,13 +16,14 @@ use uuid::Uuid;
 use super::{Boxed, Engine, EngineError, Lease, Ticket};
 
 /// Tickets in memory; they are issued again from the table at every start.
-#[derive(Clone, Default)]
+#[derive(Clone)]
 pub struct Local(Arc<Inner>);
 
-#[derive(Default)]
 struct Inner {
     waiting: Mutex<Waiting>,
     arrived: Notify,
+    leased: AtomicU64,
+    lease: Duration,
 }
 
 /// Most urgent first, then first come first served: ids are ordered in time.
@@ -32,7 +36,24 @@ struct Waiting {
 /// A worker in the same process dies only with the whole of it, so its lease is as long as a stall may last.
 const LEASE: Duration = Duration::from_secs(30);
 
+impl Default for Local {
+    fn default() -> Self {
+        Self::with_lease(LEASE)
+    }
+}
+
 impl Local {
+    /// An engine whose workers may be silent for another time.
+    #[must_use]
+    pub fn with_lease(lease: Duration) -> Self {
+        Self(Arc::new(Inner {
+            waiting: Mutex::default(),
+            arrived: Notify::new(),
+            leased: AtomicU64::new(0),
+            lease,
+        }))
+    }
+
     fn waiting(&self) -> MutexGuard<'_, Waiting> {
         self.0.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -69,7 +90,7 @@ impl Engine for Local {
         Box::pin(async {
             loop {
                 if let Some(ticket) = self.pop() {
-                    let lease: Box<dyn Lease> = Box::new(LocalLease { engine: self.clone(), ticket });
+                    let lease: Box<dyn Lease> = Box::new(LocalLease::of(self.clone(), ticket));
                     return Ok(lease);
                 }
                 self.0.arrived.notified().await;
@@ -78,7 +99,12 @@ impl Engine for Local {
     }
 
     fn lease(&self) -> Duration {
-        LEASE
+        self.0.lease
+    }
+
+    fn held(&self) -> Boxed<'_, Result<u64, EngineError>> {
+        let held = self.waiting().known.len() as u64 + self.0.leased.load(Ordering::Relaxed);
+        Box::pin(std::future::ready(Ok(held)))
     }
 
     fn check(&self) -> Boxed<'_, Result<(), EngineError>> {
@@ -89,6 +115,19 @@ impl Engine for Local {
 struct LocalLease {
     engine: Local,
     ticket: Ticket,
+}
+
+impl LocalLease {
+    fn of(engine: Local, ticket: Ticket) -> Self {
+        engine.0.leased.fetch_add(1, Ordering::Relaxed);
+        Self { engine, ticket }
+    }
+}
+
+impl Drop for LocalLease {
+    fn drop(&mut self) {
+        self.engine.0.leased.fetch_sub(1, Ordering::Relaxed);
+    }
 }
 
 impl Lease for LocalLease {

@@ -40,6 +40,9 @@ pub trait Engine: Send + Sync {
     /// How long a worker may be silent before its job is given to another.
     fn lease(&self) -> Duration;
 
+    /// How many tickets it holds, waiting or with a worker: fewer than there are jobs means that some were lost.
+    fn held(&self) -> Boxed<'_, Result<u64, EngineError>>;
+
     /// Whether the engine answers.
     fn check(&self) -> Boxed<'_, Result<(), EngineError>>;
 }

@@ -35,6 +35,9 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// A ticket that is published again within this time is one ticket.
 const DUPLICATE_WINDOW: Duration = Duration::from_secs(10);
 
+/// How long the server may take to answer.
+const ANSWER: Duration = Duration::from_secs(5);
+
 /// Deliveries of one ticket; the desk ends a poison job long before.
 const MOST_DELIVERIES: i64 = 1000;
 
@@ -59,13 +62,13 @@ impl Nats {
     pub async fn connect(url: &str, lease: Duration) -> Result<Self, EngineError> {
         let client = async_nats::ConnectOptions::new()
             .name("firn")
-            .connection_timeout(Duration::from_secs(5))
-            .request_timeout(Some(Duration::from_secs(5)))
+            .connection_timeout(ANSWER)
+            .request_timeout(Some(ANSWER))
             .connect(url)
             .await
             .map_err(failed)?;
         let mut context = jetstream::new(client.clone());
-        context.set_timeout(Duration::from_secs(5));
+        context.set_timeout(ANSWER);
         let engine = Self { client, context, lease, queues: RwLock::default() };
         engine.prepare().await?;
         Ok(engine)
@@ -75,6 +78,20 @@ impl Nats {
     #[must_use]
     pub fn client(&self) -> Client {
         self.client.clone()
+    }
+
+    fn connected(&self) -> Result<(), EngineError> {
+        match self.client.connection_state() {
+            async_nats::connection::State::Connected => Ok(()),
+            state => Err(EngineError(format!("the connection to NATS is {state:?}"))),
+        }
+    }
+
+    /// Sends what was said but is still on its way out.
+    pub async fn flush(&self) {
+        if tokio::time::timeout(ANSWER, self.client.flush()).await.is_err() {
+            tracing::warn!("the connection to NATS could not be flushed");
+        }
     }
 
     async fn prepare(&self) -> Result<(), EngineError> {
@@ -110,9 +127,13 @@ impl Nats {
     async fn take(&self) -> Result<Option<Message>, EngineError> {
         let queues = self.queues.read().await;
         for queue in queues.iter() {
-            let mut batch = queue.fetch().max_messages(1).messages().await.map_err(failed)?;
-            if let Some(message) = batch.next().await {
-                return message.map(Some).map_err(failed);
+            let answer = async {
+                let mut batch = queue.fetch().max_messages(1).messages().await.map_err(failed)?;
+                batch.next().await.transpose().map_err(failed)
+            };
+            // a server that goes down in between never answers, and the library would wait for ever
+            if let Some(message) = tokio::time::timeout(ANSWER, answer).await.map_err(failed)?? {
+                return Ok(Some(message));
             }
         }
         Ok(None)
@@ -159,6 +180,8 @@ impl Nats {
 impl Engine for Nats {
     fn publish<'a>(&'a self, tickets: &'a [Ticket]) -> Boxed<'a, Result<(), EngineError>> {
         Box::pin(async move {
+            // nobody who submits a job shall wait for a server that is away: the caretaker issues the ticket later
+            self.connected()?;
             if self.publish_all(tickets).await.is_err() {
                 // the server may have lost its store: make the queue anew and try once more
                 self.prepare().await?;
@@ -184,13 +207,22 @@ impl Engine for Nats {
         self.lease
     }
 
-    fn check(&self) -> Boxed<'_, Result<(), EngineError>> {
+    fn held(&self) -> Boxed<'_, Result<u64, EngineError>> {
         Box::pin(async {
-            match self.client.connection_state() {
-                async_nats::connection::State::Connected => Ok(()),
-                state => Err(EngineError(format!("the connection to NATS is {state:?}"))),
+            self.connected()?;
+            match self.context.get_stream(STREAM).await {
+                Ok(stream) => Ok(stream.cached_info().state.messages),
+                Err(_) => {
+                    // a server that lost its store has no stream: with a new one, no ticket is there
+                    self.prepare().await?;
+                    Ok(0)
+                }
             }
         })
+    }
+
+    fn check(&self) -> Boxed<'_, Result<(), EngineError>> {
+        Box::pin(std::future::ready(self.connected()))
     }
 }
 

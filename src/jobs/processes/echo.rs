@@ -101,7 +101,7 @@ pub(super) fn payload(inputs: &Value, children: Vec<ChildEnd>) -> Result<Vec<u8>
         .into_iter()
         .map(|child| match (child.results, child.exception) {
             (Some(results), _) => (true, results),
-            (None, exception) => (false, exception.map_or(Value::Null, |exception| json!(exception.detail))),
+            (None, exception) => (false, json!(exception.map_or_else(|| "it was dismissed".to_owned(), |exception| exception.detail))),
         })
         .collect();
     serde_json::to_vec(&Payload { inputs, children }).map_err(Problem::internal)
@@ -119,8 +119,9 @@ pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output,
         if inputs.fail {
             return Err(Failure::Science("it was asked to fail".into()));
         }
-    } else if let Some((_, why)) = children.iter().find(|(good, _)| !good) {
-        return Err(Failure::Science(format!("a part failed: {why}")));
+    } else if let Some((place, (_, why))) = children.iter().enumerate().find(|(_, (good, _))| !good) {
+        let why = why.as_str().unwrap_or_default();
+        return Err(Failure::Science(format!("part {place} has no result: {why}")));
     }
     let parts: Vec<Value> = children.into_iter().map(|(_, results)| results).collect();
     let mut results = json!({"message": inputs.message});

@@ -25,6 +25,8 @@ pub enum Claim {
     Busy,
     /// It has ended or was removed: its ticket is of no more use.
     Over,
+    /// It took its worker down too often and was failed now, which brought this about.
+    GivenUp(Ended),
 }
 
 /// The answer to a sign of life.
@@ -57,10 +59,12 @@ pub enum Outcome {
 pub struct Ended {
     /// Jobs that need a ticket now: new children, or a parent whose children have all ended; with their priority.
     pub to_ticket: Vec<(Uuid, u8, u32)>,
+    /// The parent whose progress it changed.
+    pub parent: Option<Uuid>,
 }
 
 /// A job whose attempts end without a word so often in a row, with no checkpoint between, takes its worker down.
-const MOST_LOST_ATTEMPTS: u32 = 5;
+const MOST_LOST_ATTEMPTS: i64 = 5;
 
 impl Store {
     /// Takes a job for `worker` until `lease` from now. A running job can be taken only once its lease has ended; a job
@@ -84,17 +88,17 @@ impl Store {
         if orphaned && row.try_get::<i64, _>("lease_until_ms")? >= now.as_millisecond() {
             return Ok(Claim::Busy);
         }
-        let lost: u32 = row.try_get::<u32, _>("lost")? + u32::from(orphaned);
+        let lost: i64 = row.try_get::<i64, _>("lost")? + i64::from(orphaned);
         if lost >= MOST_LOST_ATTEMPTS {
             let detail = format!("{lost} attempts in a row ended without a word: the job takes its worker down");
-            fail(&mut tx, id, &Exception { code: "crashed-repeatedly".into(), detail }, now).await?;
+            let ended = fail(&mut tx, id, &Exception { code: "crashed-repeatedly".into(), detail }, now).await?;
             tx.commit().await?;
-            return Ok(Claim::Over);
+            return Ok(Claim::GivenUp(ended));
         }
         let next = status.after(Event::Claim)?;
         let job = sqlx::query_as::<_, JobRow>(
-            "UPDATE job SET status = ?2, attempt = attempt + 1, lost = ?3, worker = ?4, lease_until_ms = ?5, progress = 0,
-                 phase = NULL, rate = NULL, rate_unit = NULL, eta_seconds = NULL,
+            "UPDATE job SET status = ?2, attempt = attempt + 1, lost = ?3, worker = ?4, lease_until_ms = ?5,
+                 progress = coalesce((SELECT progress FROM job_checkpoint WHERE job_checkpoint.job = job.id), 0), phase = NULL, rate = NULL, rate_unit = NULL, eta_seconds = NULL,
                  started = coalesce(started, ?6), updated = ?6
              WHERE id = ?1 RETURNING *",
         )
@@ -112,6 +116,12 @@ impl Store {
             .fetch_optional(&mut *tx)
             .await?;
         history::note(&mut tx, id, "status", &serde_json::json!({"status": next, "attempt": job.attempt})).await?;
+        if orphaned && lost > 0 {
+            let message = "the attempt before ended without a word: its worker was lost";
+            history::log(&mut tx, id, job.attempt - 1, now, "warn", message).await?;
+        }
+        let from = if checkpoint.is_some() { "from its last checkpoint" } else { "from its beginning" };
+        history::log(&mut tx, id, job.attempt, now, "info", &format!("taken by {worker}, {from}")).await?;
         tx.commit().await?;
         Ok(Claim::Taken { job: Box::new(job), checkpoint })
     }
@@ -175,7 +185,10 @@ impl Store {
     pub async fn save_checkpoint(&self, id: Uuid, attempt: u32, bytes: &[u8], now: Timestamp) -> Result<()> {
         let mut tx = self.begin().await?;
         fence(&mut tx, id, attempt).await?;
-        sqlx::query("INSERT OR REPLACE INTO job_checkpoint (job, attempt, made, bytes) VALUES (?, ?, ?, ?)")
+        sqlx::query(
+            "INSERT OR REPLACE INTO job_checkpoint (job, attempt, made, bytes, progress)
+             VALUES (?1, ?2, ?3, ?4, (SELECT progress FROM job WHERE id = ?1))",
+        )
             .bind(id.to_string())
             .bind(attempt)
             .bind(now.to_string())
@@ -207,6 +220,7 @@ impl Store {
         .execute(&mut *tx)
         .await?;
         history::note(&mut tx, id, "status", &serde_json::json!({"status": status, "attempt": attempt})).await?;
+        history::log(&mut tx, id, attempt, now, "info", "given back unfinished: its worker stops").await?;
         tx.commit().await?;
         Ok(())
     }
@@ -232,8 +246,11 @@ impl Store {
             .execute(&mut *tx)
             .await?;
         let ended = match outcome {
-            Outcome::Split(jobs) => children::split(&mut tx, id, &jobs, now).await?,
-            Outcome::Failed(exception) => fail(&mut tx, id, &exception, now).await?,
+            Outcome::Split(jobs) => children::split(&mut tx, (id, attempt), &jobs, now).await?,
+            Outcome::Failed(exception) => {
+                history::log(&mut tx, id, attempt, now, "error", &exception.detail).await?;
+                fail(&mut tx, id, &exception, now).await?
+            }
             Outcome::Successful { mut results, outputs } => {
                 if let Some(model) = keep {
                     let activated = models::insert(&mut tx, model, now).await?;
@@ -269,7 +286,7 @@ fn after(now: Timestamp, lease: SignedDuration) -> i64 {
     now.as_millisecond().saturating_add(i64::try_from(lease.as_millis()).unwrap_or(i64::MAX))
 }
 
-async fn fence(tx: &mut Transaction<'_, Sqlite>, id: Uuid, attempt: u32) -> Result<()> {
+pub(super) async fn fence(tx: &mut Transaction<'_, Sqlite>, id: Uuid, attempt: u32) -> Result<()> {
     let holds: Option<i64> =
         sqlx::query_scalar("SELECT 1 FROM job WHERE id = ? AND attempt = ? AND status = 'running' AND waits_for_children = 0")
             .bind(id.to_string())

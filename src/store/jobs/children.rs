@@ -24,7 +24,12 @@ pub struct ChildEnd {
 }
 
 /// The running job `parent` goes on as `jobs` and waits for them without holding a worker.
-pub(super) async fn split(tx: &mut Transaction<'_, Sqlite>, parent: Uuid, jobs: &[Job], now: Timestamp) -> Result<Ended> {
+pub(super) async fn split(
+    tx: &mut Transaction<'_, Sqlite>,
+    (parent, attempt): (Uuid, u32),
+    jobs: &[Job],
+    now: Timestamp,
+) -> Result<Ended> {
     for job in jobs {
         insert(tx, job).await?;
     }
@@ -37,7 +42,9 @@ pub(super) async fn split(tx: &mut Transaction<'_, Sqlite>, parent: Uuid, jobs: 
     .await?;
     // a parent has one checkpoint: that it was split
     sqlx::query("DELETE FROM job_checkpoint WHERE job = ?").bind(parent.to_string()).execute(&mut **tx).await?;
-    Ok(Ended { to_ticket: jobs.iter().map(|job| (job.id, job.priority.get(), 0)).collect() })
+    let message = format!("goes on as {} jobs", jobs.len());
+    history::log(tx, parent, attempt, now, "info", &message).await?;
+    Ok(Ended { parent: None, to_ticket: jobs.iter().map(|job| (job.id, job.priority.get(), 0)).collect() })
 }
 
 /// Notes the end of a child at its parent; the last one frees the parent to be taken again and put together.
@@ -57,8 +64,8 @@ pub(super) async fn one_ended(tx: &mut Transaction<'_, Sqlite>, child: Uuid, now
     let (open, many): (i64, i64) = (row.try_get("open")?, row.try_get("many")?);
     let percent = (many - open) * 99 / many.max(1);
     sqlx::query(
-        "UPDATE job SET progress = max(progress, ?2), waits_for_children = ?3, lease_until_ms = 0, ticketed_ms = ?5,
-             updated = ?4
+        "UPDATE job SET progress = max(progress, ?2), waits_for_children = ?3, lost = lost - ?6, lease_until_ms = 0,
+             ticketed_ms = ?5, updated = ?4
          WHERE id = ?1",
     )
     .bind(&id)
@@ -66,13 +73,15 @@ pub(super) async fn one_ended(tx: &mut Transaction<'_, Sqlite>, child: Uuid, now
     .bind(i64::from(open > 0))
     .bind(now.to_string())
     .bind(now.as_millisecond())
+    // the claim that puts it together finds it running, yet no worker was lost
+    .bind(i64::from(open == 0))
     .execute(&mut **tx)
     .await?;
     history::note(tx, parent, "progress", &serde_json::json!({"percent": percent, "open_children": open})).await?;
     if open > 0 {
-        return Ok(Ended::default());
+        return Ok(Ended { parent: Some(parent), ..Ended::default() });
     }
-    Ok(Ended { to_ticket: vec![(parent, row.try_get("priority")?, row.try_get("attempt")?)] })
+    Ok(Ended { parent: Some(parent), to_ticket: vec![(parent, row.try_get("priority")?, row.try_get("attempt")?)] })
 }
 
 impl Store {

@@ -4,13 +4,13 @@ use jiff::Timestamp;
 use sqlx::{Row, Sqlite, Transaction};
 use uuid::Uuid;
 
-use super::outputs;
+use super::{attempts::fence, outputs};
 use crate::{
     domain::job::Status,
     store::{Result, Store, StoreError, from_json, parse_timestamp, to_json},
 };
 
-/// Lines of the log that a job may have; later ones are counted and dropped.
+/// Lines of the log that a job may have; later ones are dropped.
 const LONGEST_LOG: i64 = 1000;
 
 /// One event of a job.
@@ -59,6 +59,30 @@ pub(super) async fn note(tx: &mut Transaction<'_, Sqlite>, job: Uuid, kind: &str
     Ok(())
 }
 
+/// Writes a line of the log, within its bound.
+pub(super) async fn log(
+    tx: &mut Transaction<'_, Sqlite>,
+    job: Uuid,
+    attempt: u32,
+    now: Timestamp,
+    level: &str,
+    message: &str,
+) -> Result<()> {
+    sqlx::query(
+        "INSERT INTO job_log (job, attempt, at, level, message)
+         SELECT ?1, ?2, ?3, ?4, ?5 WHERE (SELECT count(*) FROM job_log WHERE job = ?1) < ?6",
+    )
+    .bind(job.to_string())
+    .bind(attempt)
+    .bind(now.to_string())
+    .bind(level)
+    .bind(message)
+    .bind(LONGEST_LOG)
+    .execute(&mut **tx)
+    .await?;
+    Ok(())
+}
+
 /// Writes down progress in place of the progress before: who resumes a stream needs only the newest.
 pub(super) async fn note_progress(
     tx: &mut Transaction<'_, Sqlite>,
@@ -96,26 +120,15 @@ impl Store {
             .collect()
     }
 
-    /// Adds lines to the log of a job, up to its bound.
+    /// Adds lines of an attempt to the log of its job, up to its bound.
     ///
     /// # Errors
-    /// [`StoreError::Sql`] where they cannot be stored.
+    /// [`StoreError::Fenced`] where the attempt counts no more.
     pub async fn append_job_log(&self, job: Uuid, attempt: u32, lines: &[(String, String)], now: Timestamp) -> Result<()> {
         let mut tx = self.begin().await?;
-        let many: i64 = sqlx::query_scalar("SELECT count(*) FROM job_log WHERE job = ?")
-            .bind(job.to_string())
-            .fetch_one(&mut *tx)
-            .await?;
-        let room = usize::try_from(LONGEST_LOG - many).unwrap_or(0);
-        for (level, message) in lines.iter().take(room) {
-            sqlx::query("INSERT INTO job_log (job, attempt, at, level, message) VALUES (?, ?, ?, ?, ?)")
-                .bind(job.to_string())
-                .bind(attempt)
-                .bind(now.to_string())
-                .bind(level)
-                .bind(message)
-                .execute(&mut *tx)
-                .await?;
+        fence(&mut tx, job, attempt).await?;
+        for (level, message) in lines {
+            log(&mut tx, job, attempt, now, level, message).await?;
         }
         tx.commit().await?;
         Ok(())

@@ -58,8 +58,8 @@ async fn step(tx: &mut Transaction<'_, Sqlite>, id: Uuid, event: Event) -> Resul
 async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &Job) -> Result<()> {
     sqlx::query(
         "INSERT INTO job (id, process_id, status, progress, inputs, input_hash, version, submitted_by, labels, priority,
-             parent, position, created, updated)
-         VALUES (?1, ?2, 'accepted', 0, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?11)",
+             parent, position, created, updated, ticketed_ms)
+         VALUES (?1, ?2, 'accepted', 0, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?11, ?12)",
     )
     .bind(job.id.to_string())
     .bind(&job.process_id)
@@ -72,6 +72,8 @@ async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &Job) -> Result<()> {
     .bind(job.parent.map(|id| id.to_string()))
     .bind(job.position)
     .bind(job.created.to_string())
+    // its ticket follows at once, and a start issues all tickets again: that saves a second write a job
+    .bind(job.created.as_millisecond())
     .execute(&mut **tx)
     .await?;
     history::note(tx, job.id, "status", &serde_json::json!({"status": Status::Accepted})).await
@@ -179,11 +181,22 @@ impl Store {
         Ok(sqlx::query_scalar("SELECT count(*) FROM job WHERE status = 'accepted'").fetch_one(&self.reader).await?)
     }
 
-    /// Gives a job up, and with it every child that has not ended; says which jobs that were.
+    /// How many jobs need a ticket: they wait for a worker or one has them.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn jobs_with_tickets(&self) -> Result<u64> {
+        let sql = "SELECT count(*) FROM job
+                   WHERE status = 'accepted' OR (status = 'running' AND waits_for_children = 0)";
+        let many: i64 = sqlx::query_scalar(sql).fetch_one(&self.reader).await?;
+        Ok(many.unsigned_abs())
+    }
+
+    /// Gives a job up, and with it every child that has not ended; says which jobs that were and what it brought about.
     ///
     /// # Errors
     /// [`StoreError::Transition`] where it has ended before, [`StoreError::Missing`] where there is none.
-    pub async fn dismiss_job(&self, id: Uuid, now: Timestamp) -> Result<Vec<Uuid>> {
+    pub async fn dismiss_job(&self, id: Uuid, now: Timestamp) -> Result<(Vec<Uuid>, Ended)> {
         let mut tx = self.begin().await?;
         step(&mut tx, id, Event::Dismiss).await?;
         // the parent first, so that it waits for nobody any more when its children end
@@ -191,11 +204,16 @@ impl Store {
                     ORDER BY id <> ?1";
         let ids: Vec<String> = sqlx::query_scalar(open).bind(id.to_string()).fetch_all(&mut *tx).await?;
         let ids: Vec<Uuid> = ids.iter().map(|id| id.parse().map_err(StoreError::corrupt)).collect::<Result<_>>()?;
-        for id in &ids {
-            dismiss_one(&mut tx, *id, now).await?;
+        let mut ended = Ended::default();
+        for (place, id) in ids.iter().enumerate() {
+            let brought = dismiss_one(&mut tx, *id, now).await?;
+            if place == 0 {
+                // the children's parent is dismissed itself
+                ended = brought;
+            }
         }
         tx.commit().await?;
-        Ok(ids)
+        Ok((ids, ended))
     }
 
     /// Removes a job that has ended, with its children, and says which outputs lie in the artifact store no more needed.
@@ -246,7 +264,7 @@ impl Store {
             .collect()
     }
 
-    /// Notes that the tickets of these jobs are with the engine.
+    /// Notes when the tickets of these jobs went to the engine; long ago: they did not.
     ///
     /// # Errors
     /// [`StoreError::Sql`] where it cannot be stored.
@@ -264,7 +282,7 @@ impl Store {
     }
 }
 
-async fn dismiss_one(tx: &mut Transaction<'_, Sqlite>, id: Uuid, now: Timestamp) -> Result<()> {
+async fn dismiss_one(tx: &mut Transaction<'_, Sqlite>, id: Uuid, now: Timestamp) -> Result<Ended> {
     let status = step(tx, id, Event::Dismiss).await?;
     sqlx::query(
         "UPDATE job SET status = ?2, message = 'dismissed on request', phase = NULL, waits_for_children = 0,
@@ -278,7 +296,7 @@ async fn dismiss_one(tx: &mut Transaction<'_, Sqlite>, id: Uuid, now: Timestamp)
     .await?;
     history::note(tx, id, "status", &serde_json::json!({"status": status})).await?;
     sqlx::query("DELETE FROM job_checkpoint WHERE job = ?").bind(id.to_string()).execute(&mut **tx).await?;
-    children::one_ended(tx, id, now).await.map(|_| ())
+    children::one_ended(tx, id, now).await
 }
 
 fn push_list<T: AsRef<str>>(query: &mut sqlx::QueryBuilder<Sqlite>, column: &str, values: &[T]) {
