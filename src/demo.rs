@@ -17,6 +17,7 @@ use crate::{
     jobs::{Submission, Submitted, processes::Process},
     server::ServerError,
     store::{
+        StoreError,
         jobs::Answer,
         observations::{Author, DayWrite},
     },
@@ -42,16 +43,18 @@ pub async fn start(state: &AppState, address: SocketAddr) -> Result<(), ServerEr
     let body: StationBody = serde_json::from_value(json!({
         "name": "Synthetic station (generated data, not a real place)", "timezone": "UTC",
     }))?;
-    let absent = |before: Option<&Station>| before.is_none();
-    match state.store.put_station(&id, &body, true, clock::now(), absent).await {
-        Ok(_) => {
-            let writes = days.iter().map(write).collect::<Vec<_>>();
-            let author = Author { name: None, at: clock::now(), source: "synthetic" };
-            state.store.put_days(&id, &writes, &author).await?;
+    let permits = |before: Option<&Station>| before.is_none_or(|station| station.synthetic);
+    match state.store.put_station(&id, &body, true, clock::now(), permits).await {
+        Ok(_) => {}
+        Err(StoreError::Precondition) => {
+            return Err(format!("the station `{STATION}` is one of yours: the demo wants another data directory").into());
         }
-        Err(crate::store::StoreError::Precondition) => {}
         Err(error) => return Err(error.into()),
     }
+    // also after a start that ended half-way: what is there already is left as it is
+    let writes = days.iter().map(write).collect::<Vec<_>>();
+    let author = Author { name: None, at: clock::now(), source: "synthetic" };
+    state.store.put_days(&id, &writes, &author).await?;
     if state.store.active_model(&id, 0).await?.is_none() {
         let inputs = json!({"station": STATION, "label": "observed", "lead": 0});
         let submission = Submission {
@@ -64,8 +67,10 @@ pub async fn start(state: &AppState, address: SocketAddr) -> Result<(), ServerEr
             reservation: None,
         };
         let render = |job: &Job| Answer { location: format!("/v1/jobs/{}", job.id), body: json!(null) };
-        if let Submitted::New(answer) = state.desk.submit(submission, render).await? {
-            tracing::info!("the demo trains its model: http://{address}{}", answer.location);
+        match state.desk.submit(submission, render).await {
+            Ok(Submitted::New(answer)) => tracing::info!("the demo trains its model: http://{address}{}", answer.location),
+            Ok(_) => {}
+            Err(problem) => tracing::error!(%problem, "the demo's model cannot be trained"),
         }
     }
     tracing::info!("look at http://{address}/ ; its station `{STATION}` is made by a generator and is no real place");

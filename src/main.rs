@@ -64,7 +64,7 @@ enum Key {
         #[command(flatten)]
         data: DataDir,
         /// Whose key, or what for; goes into the history of what is written with it
-        #[arg(long)]
+        #[arg(long, value_parser = key_name)]
         name: String,
         /// What the key allows: each role may do what the ones before it may
         #[arg(long, value_enum, default_value = "forecaster")]
@@ -95,6 +95,11 @@ struct DataDir {
     /// Folder of the database
     #[arg(long, env = "FIRN_DATA_DIR", default_value = "firn-data", value_name = "DIR")]
     data_dir: PathBuf,
+}
+
+fn key_name(text: &str) -> Result<String, &'static str> {
+    let good = (1..=100).contains(&text.chars().count()) && !text.trim().is_empty() && !text.contains(char::is_control);
+    if good { Ok(text.to_owned()) } else { Err("must be 1 to 100 characters") }
 }
 
 fn main() -> ExitCode {
@@ -165,6 +170,7 @@ async fn run_key(command: Key) -> Result<(), ServerError> {
             let now = clock::now();
             if if_none && store.keys().await?.iter().any(|key| key.is_valid(now)) {
                 print("there is a valid key already");
+                store.close().await;
                 return Ok(());
             }
             let expires = expires_in_days

@@ -126,10 +126,13 @@ impl Server {
             let ((), _) = tokio::join!(work, answered);
         };
         tokio::pin!(give_up);
+        let mut ended = Ok(());
         tokio::select! {
             result = serve => {
-                result?;
+                // also where the socket failed: what runs is ended and written down before that is told
+                stop.cancel();
                 give_up.await;
+                ended = result;
             }
             () = &mut give_up => tracing::warn!("open connections were cut"),
         }
@@ -137,7 +140,7 @@ impl Server {
         let _ = tokio::time::timeout(deadline, caretaker).await;
         state.store.close().await;
         tracing::info!("stopped");
-        Ok(())
+        Ok(ended?)
     }
 }
 

@@ -1,8 +1,10 @@
 //! Who calls, and what they may do.
 
+use std::net::IpAddr;
+
 use axum::{
     extract::{FromRequestParts, Request, State},
-    http::{HeaderValue, Method, header, request::Parts},
+    http::{HeaderValue, Method, header, uri::Authority, request::Parts},
     middleware::Next,
     response::Response,
 };
@@ -46,7 +48,8 @@ pub async fn authenticate(State(state): State<AppState>, mut request: Request, n
     }
     // the body of a request cannot be shared between threads, so its header is taken out before the store is asked
     let credentials = request.headers().get(header::AUTHORIZATION).cloned();
-    let caller = identify(&state, credentials).await?;
+    let host = request.headers().get(header::HOST).cloned();
+    let caller = identify(&state, credentials, host).await?;
     let needed = role_for(request.method(), &path);
     if caller.role < needed {
         let detail = format!("this call needs the role {}, the key has {}", needed.name(), caller.role.name());
@@ -71,10 +74,26 @@ fn role_for(method: &Method, path: &str) -> Role {
     }
 }
 
-async fn identify(state: &AppState, credentials: Option<HeaderValue>) -> Result<Caller, ApiError> {
+/// Whether `Host` is a name that no page of the web can have: DNS may give any other name our address (DNS rebinding).
+fn names_this_machine(host: &HeaderValue) -> bool {
+    let Ok(authority) = host.to_str().unwrap_or_default().parse::<Authority>() else { return false };
+    let name = authority.host();
+    let address: Option<IpAddr> = name.trim_start_matches('[').trim_end_matches(']').parse().ok();
+    name.eq_ignore_ascii_case("localhost") || address.is_some_and(|address| address.is_loopback())
+}
+
+async fn identify(
+    state: &AppState,
+    credentials: Option<HeaderValue>,
+    host: Option<HeaderValue>,
+) -> Result<Caller, ApiError> {
     let Some(value) = credentials else {
         if keys_needed(&state.config) {
             return Err(Problem::new(Code::Unauthorized, "this service wants a key with every request").into());
+        }
+        if !state.config.allow_anonymous && !host.as_ref().is_none_or(names_this_machine) {
+            let detail = "without a key the Host must be localhost or the address that the service listens on";
+            return Err(Problem::new(Code::Misdirected, detail).into());
         }
         return Ok(Caller { name: None, role: Role::Admin });
     };
@@ -88,4 +107,19 @@ async fn identify(state: &AppState, credentials: Option<HeaderValue>) -> Result<
     };
     let found = found.ok_or_else(|| Problem::new(Code::Unauthorized, "the key is not valid"))?;
     Ok(Caller { name: Some(found.name), role: found.role })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_names_of_this_machine_need_no_key() {
+        for good in ["localhost", "LOCALHOST:8080", "127.0.0.1:8080", "127.9.9.9", "[::1]:8080"] {
+            assert!(names_this_machine(&HeaderValue::from_static(good)), "{good}");
+        }
+        for bad in ["evil.example", "localhost.evil.example:8080", "192.168.0.1", "[::2]:80", "", "a b"] {
+            assert!(!names_this_machine(&HeaderValue::from_static(bad)), "{bad}");
+        }
+    }
 }

@@ -18,6 +18,7 @@ use crate::{
         ids::StationId,
         observation::{ActivitySchema, AvalancheRecord, AvalancheTrigger, AvalancheType},
         problem::{Code, FieldError, Problem},
+        station::Station,
         units::{AvalancheCount, AvalancheSize},
     },
     science::forecast::day::Activity,
@@ -58,6 +59,8 @@ pub struct AvalancheResource {
     trigger: Option<AvalancheTrigger>,
     /// Size of the largest on the European scale of 1 to 5.
     size: Option<AvalancheSize>,
+    /// True where it was made by a generator and never happened.
+    synthetic: bool,
     /// Counts the changes, from 1.
     revision: u32,
     /// When it last changed.
@@ -99,10 +102,11 @@ pub struct RevisionList {
     pub revisions: Vec<RevisionResource>,
 }
 
-fn resource(station: StationId, date: Date, record: &Revised<AvalancheRecord>) -> AvalancheResource {
+fn resource(station: Station, date: Date, record: &Revised<AvalancheRecord>) -> AvalancheResource {
     let value = record.value;
     AvalancheResource {
-        station,
+        synthetic: station.synthetic,
+        station: station.id,
         date,
         activity: value.activity,
         count: value.count,
@@ -130,12 +134,12 @@ pub async fn get_avalanches(
     Path(path): Path<DayPath>,
     conditions: Conditions,
 ) -> ApiResult<Response> {
-    state.station(&path.station).await?;
+    let station = state.station(&path.station).await?;
     let day = state.store.day(&path.station, path.date.0).await?;
     let record = day.as_ref().and_then(|day| day.avalanche.as_ref());
     let record = record.ok_or_else(|| not_recorded(&path.station, path.date))?;
     let tag = format!("\"{}\"", record.revision);
-    respond::tagged(&conditions, StatusCode::OK, &tag, &resource(path.station, path.date, record))
+    respond::tagged(&conditions, StatusCode::OK, &tag, &resource(station, path.date, record))
 }
 
 /// Records the avalanches of a day, or corrects the record; every earlier state is kept.
@@ -159,7 +163,7 @@ pub async fn put_avalanches(
     if let Some(first) = faults.first() {
         return Err(Problem::new(Code::InvalidBody, first.detail.clone()).with_errors(faults).into());
     }
-    state.station(&path.station).await?;
+    let station = state.station(&path.station).await?;
     let author = Author { name: caller.name, at: clock::now(), source: "put" };
     let write = DayWrite { date: path.date.0, values: None, avalanche: Some(record) };
     let mut known = false;
@@ -172,7 +176,7 @@ pub async fn put_avalanches(
     let status = if known || written == Written::Unchanged { StatusCode::OK } else { StatusCode::CREATED };
     let stored = day.avalanche.as_ref().ok_or_else(|| Problem::internal("a record that was just written is gone"))?;
     let tag = format!("\"{}\"", stored.revision);
-    respond::tagged(&Conditions::default(), status, &tag, &resource(path.station, path.date, stored))
+    respond::tagged(&Conditions::default(), status, &tag, &resource(station, path.date, stored))
 }
 
 /// Every state that the avalanche record of a day ever had, oldest first, with who wrote it and when.

@@ -19,6 +19,7 @@ use super::{
     stations::{Limit, StationPath},
 };
 use crate::{
+    clock,
     domain::{
         ids::StationId,
         problem::{Code, Problem},
@@ -231,7 +232,7 @@ impl Speaker {
                 error => Problem::internal(error),
             });
         };
-        let nearest = state.store.nearest_observation(&self.station.id, date).await?;
+        let nearest = state.store.nearest_observation(&self.station.id, &self.model.reported, date).await?;
         let nearest = nearest.map_or_else(
             || "the station has no observations at all".to_owned(),
             |nearest| format!("the nearest day with one is {nearest}"),
@@ -251,11 +252,12 @@ impl Speaker {
         }
     }
 
-    /// The newest day that can be forecast.
+    /// The newest day that can be forecast; what was recorded for days to come does not count.
     async fn newest(&self, state: &AppState) -> ApiResult<civil::Date> {
-        let last = state.store.last_observation(&self.station.id).await?;
+        let today = clock::today(&self.station.zone());
+        let last = state.store.last_observation(&self.station.id, &self.model.reported, today).await?;
         let last = last.ok_or_else(|| {
-            Problem::new(Code::NoObservation, format!("{} has no observations at all", self.station.id))
+            Problem::new(Code::NoObservation, format!("{} has no observation that the model reads", self.station.id))
         })?;
         Ok(last.checked_add(i64::from(self.lead).days()).unwrap_or(last))
     }

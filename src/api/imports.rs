@@ -29,7 +29,11 @@ use crate::{
         schema,
         station::{Station, ZoneName},
     },
-    formats::{Flag, FormatError, Import, ImportedRow, ndjson, observations_csv, sais},
+    formats::{
+        Flag, FormatError, Import, ImportedRow, MAX_ROWS,
+        json::{self, JsonDays},
+        ndjson, observations_csv, sais,
+    },
     store::{
         observations::{Author, DayWrite},
         stations::Written,
@@ -157,6 +161,8 @@ struct Row {
 #[derive(Default)]
 struct Rows {
     format: &'static str,
+    // a single JSON day, which is refused like that of a PUT
+    one: bool,
     rows: Vec<Row>,
     merged: Vec<(u64, civil::Date)>,
     not_reported: Vec<String>,
@@ -190,12 +196,17 @@ pub async fn import_observations(
         return Err(Problem::new(Code::UnsupportedMediaType, "format=sais needs Content-Type: text/csv").into());
     }
     let station = state.station(&path.station).await?;
-    let rows = match (media, query.format) {
-        (MediaType::Json, _) => from_json(&bytes)?,
+    let zone = station.body.timezone.clone();
+    // megabytes are read on a thread of their own: the server goes on answering meanwhile
+    let read = tokio::task::spawn_blocking(move || match (media, query.format) {
+        (MediaType::Json, _) => from_json(&bytes),
         (MediaType::Ndjson, _) => from_ndjson(&bytes),
-        (MediaType::Csv, None) => from_file("csv", observations_csv::read(&bytes))?,
-        (MediaType::Csv, Some(Format::Sais)) => from_sais(&bytes, &station, query.area.as_ref().map(|area| area.0.as_str()))?,
-    };
+        (MediaType::Csv, None) => from_file("csv", observations_csv::read(&bytes)),
+        (MediaType::Csv, Some(Format::Sais)) => {
+            from_sais(&bytes, zone.as_ref(), query.area.as_ref().map(|area| area.0.as_str()))
+        }
+    });
+    let rows = read.await.map_err(Problem::internal)??;
     store(&state, &station, rows, query.partial.unwrap_or(false), caller).await
 }
 
@@ -203,7 +214,7 @@ pub async fn import_observations(
 #[derive(ToSchema)]
 #[schema(as = DayOrDays)]
 #[serde(untagged)]
-#[expect(dead_code, reason = "stands in the contract; the bodies are read row by row")]
+#[expect(dead_code, clippy::large_enum_variant, reason = "stands in the contract; the bodies are read row by row")]
 pub enum DayOrDays {
     /// One day.
     One(DatedObservation),
@@ -212,16 +223,21 @@ pub enum DayOrDays {
 }
 
 fn from_json(bytes: &[u8]) -> Result<Rows, Problem> {
-    let value: Value = serde_json::from_slice(bytes)
-        .map_err(|error| Problem::new(Code::InvalidJson, format!("not JSON: {error}")))?;
-    let rows = match &value {
-        Value::Array(days) => {
-            (1..).zip(days).zip(0_usize..).map(|((line, day), at)| json_row(line, day, &format!("/{at}"))).collect()
+    let (one, rows) = match json::days(bytes) {
+        Ok(JsonDays::One(day)) => (true, vec![json_row(1, &day, "")]),
+        Ok(JsonDays::Many(days)) => {
+            let rows = (1..).zip(&days).zip(0_usize..);
+            (false, rows.map(|((line, day), at)| json_row(line, day, &format!("/{at}"))).collect())
         }
-        day => vec![json_row(1, day, "")],
+        Ok(JsonDays::TooMany) => return Err(too_many_rows()),
+        Err(error) if error.is_data() => {
+            let fault = FieldError::new("", "wrong_type", "must be a day or an array of days");
+            return Err(Problem::new(Code::InvalidBody, "the body must be a day or an array of days").with_errors(vec![fault]));
+        }
+        Err(error) => return Err(Problem::new(Code::InvalidJson, format!("not JSON: {error}"))),
     };
     let rows = without_repeats(rows, |row| format!("/{}", row.line.saturating_sub(1)));
-    Ok(Rows { format: "json", rows, ..Rows::default() })
+    Ok(Rows { format: "json", one, rows, ..Rows::default() })
 }
 
 fn json_row(line: u64, value: &Value, prefix: &str) -> Row {
@@ -238,7 +254,14 @@ fn checked(day: DatedObservation, prefix: &str) -> Result<(DayWrite, Vec<Flag>),
     Ok((DayWrite { date, values: Some(day.values()), avalanche: day.avalanche() }, Vec::new()))
 }
 
-fn from_ndjson(bytes: &[u8]) -> Rows {
+fn too_many_rows() -> Problem {
+    Problem::new(Code::PayloadTooLarge, format!("an import takes {MAX_ROWS} rows at most; send several"))
+}
+
+fn from_ndjson(bytes: &[u8]) -> Result<Rows, Problem> {
+    if ndjson::lines(bytes).nth(MAX_ROWS).is_some() {
+        return Err(too_many_rows());
+    }
     let row = |line: ndjson::JsonLine<'_>| {
         let prefix = format!("/{}", line.line);
         let mut reader = serde_json::Deserializer::from_slice(line.json);
@@ -266,7 +289,7 @@ fn from_ndjson(bytes: &[u8]) -> Rows {
         }
     };
     let rows = without_repeats(ndjson::lines(bytes).map(row).collect(), |row| format!("/{}", row.line));
-    Rows { format: "ndjson", rows, ..Rows::default() }
+    Ok(Rows { format: "ndjson", rows, ..Rows::default() })
 }
 
 /// Refuses a row that repeats the day of an accepted one: which of the two is meant cannot be told. `pointer` is where a
@@ -284,9 +307,9 @@ fn without_repeats(mut rows: Vec<Row>, pointer: impl Fn(&Row) -> String) -> Vec<
     rows
 }
 
-fn from_sais(bytes: &[u8], station: &Station, area: Option<&str>) -> Result<Rows, Problem> {
+fn from_sais(bytes: &[u8], zone: Option<&ZoneName>, area: Option<&str>) -> Result<Rows, Problem> {
     // the service writes local midnight as UTC, so its own zone is the default and not UTC
-    let zone = station.body.timezone.as_ref().map_or(sais::DEFAULT_ZONE, ZoneName::as_str);
+    let zone = zone.map_or(sais::DEFAULT_ZONE, ZoneName::as_str);
     from_file("sais", sais::read(bytes, zone, area))
 }
 
@@ -300,6 +323,7 @@ fn from_file(format: &'static str, import: Result<Import, FormatError>) -> Resul
         not_reported: import.not_reported,
         ignored_columns: import.ignored_columns,
         notes: import.notes,
+        one: false,
     })
 }
 
@@ -344,15 +368,20 @@ async fn store(state: &AppState, station: &Station, rows: Rows, partial: bool, c
 
 /// The problem of an import that stores nothing: of one JSON day like that of a PUT, else with the report.
 fn refuse(rows: Rows, refused: usize) -> Problem {
-    let faults: Vec<FieldError> =
-        rows.rows.iter().filter_map(|row| row.outcome.as_ref().err()).flatten().take(100).cloned().collect();
+    // the report has all of them; the list of the problem shall stay readable
+    const MOST_FAULTS: usize = 100;
+    let faults = rows.rows.iter().filter_map(|row| row.outcome.as_ref().err()).flatten();
+    let omitted = faults.clone().count().saturating_sub(MOST_FAULTS);
+    let faults: Vec<FieldError> = faults.take(MOST_FAULTS).cloned().collect();
     let first = faults.first().map_or_else(String::new, |first| format!("{} {}", first.pointer, first.detail));
-    if rows.format == "json" {
+    if rows.one {
         return Problem::new(Code::InvalidBody, first).with_errors(faults);
     }
+    let code = if rows.format == "json" { Code::InvalidBody } else { Code::ImportRefused };
     let detail = format!("{refused} of {} rows were refused and nothing was stored; the first: {first}", rows.rows.len());
     let report = serde_json::to_value(report(rows, &[]).report).unwrap_or_default();
-    Problem::new(Code::ImportRefused, detail).with_errors(faults).with("report", report)
+    let problem = Problem::new(code, detail).with_errors(faults).with("report", report);
+    if omitted > 0 { problem.with("errors_omitted", omitted.into()) } else { problem }
 }
 
 fn report(rows: Rows, written: &[Written]) -> ImportReport {

@@ -23,6 +23,7 @@ use crate::{
     domain::{
         ids::StationId,
         problem::{Code, Problem},
+        station::Station,
     },
     science::forecast::{evaluation::Evaluation, features::FeatureSet},
     store::models::{Activation, ModelRecord},
@@ -109,6 +110,8 @@ pub struct ModelList {
 pub struct ActiveModel {
     /// The station.
     station: StationId,
+    /// True where the station's data were made by a generator.
+    synthetic: bool,
     /// Days between the last observation and the day that is forecast.
     lead: u8,
     /// The model.
@@ -119,6 +122,31 @@ pub struct ActiveModel {
     activated_by: Option<String>,
     /// Where to go from here.
     links: Vec<Link>,
+}
+
+/// How good a model is.
+#[derive(Serialize, ToSchema)]
+pub struct EvaluationResource {
+    /// The model.
+    model_id: Uuid,
+    /// True where it was trained and scored on data that a generator made.
+    synthetic: bool,
+    /// The scores.
+    #[serde(flatten)]
+    #[schema(value_type = Evaluation)]
+    evaluation: Value,
+}
+
+/// The features of a model.
+#[derive(Serialize, ToSchema)]
+pub struct ModelFeatures {
+    /// The model.
+    model_id: Uuid,
+    /// True where it was trained on data that a generator made.
+    synthetic: bool,
+    /// The features, in the order of the columns.
+    #[serde(flatten)]
+    set: FeatureSetResource,
 }
 
 /// The model to make the active one.
@@ -135,7 +163,7 @@ impl From<ModelRecord> for ModelResource {
         let part = |name: &str| record.summary.get(name).cloned().unwrap_or(Value::Null);
         Self {
             id: record.id,
-            synthetic: part("synthetic").as_bool().unwrap_or(false),
+            synthetic: is_synthetic(&record),
             training: part("training"),
             scores: part("scores"),
             provenance: part("provenance"),
@@ -152,10 +180,15 @@ impl From<ModelRecord> for ModelResource {
     }
 }
 
-fn active(station: StationId, lead: u8, activation: Activation) -> ActiveModel {
+fn is_synthetic(model: &ModelRecord) -> bool {
+    model.summary.get("synthetic").and_then(Value::as_bool).unwrap_or(false)
+}
+
+fn active(station: Station, lead: u8, activation: Activation) -> ActiveModel {
     ActiveModel {
+        synthetic: station.synthetic,
         links: vec![Link::json(format!("/v1/models/{}", activation.model), "model", "the model")],
-        station,
+        station: station.id,
         lead,
         model_id: activation.model,
         activated: activation.activated,
@@ -221,28 +254,30 @@ pub async fn get_model(
 /// logistic regression: `scores` with every season left out once, `per_season`, `reliability`, `forward_chaining` (each
 /// season forecast from the ones before it only) and the `bootstrap` over seasons. An undefined score is null.
 #[utoipa::path(get, path = "/v1/models/{model}/evaluation", operation_id = "get_model_evaluation", tag = "models",
-    params(ModelPath), responses((status = 200, description = "The evaluation.", body = Evaluation)))]
+    params(ModelPath), responses((status = 200, description = "The evaluation.", body = EvaluationResource)))]
 pub async fn get_evaluation(
     State(state): State<AppState>,
     Path(path): Path<ModelPath>,
     conditions: Conditions,
 ) -> ApiResult<Response> {
-    let evaluation = state.store.model_evaluation(path.model).await?;
-    let evaluation = evaluation.ok_or_else(|| unknown(path.model))?;
-    respond::resource(&conditions, &evaluation)
+    let model = find(&state, path.model).await?;
+    let evaluation = state.store.model_evaluation(model.id).await?.ok_or_else(|| unknown(path.model))?;
+    let synthetic = is_synthetic(&model);
+    respond::resource(&conditions, &EvaluationResource { model_id: model.id, synthetic, evaluation })
 }
 
 /// The features of a model, in the order of its columns.
 #[utoipa::path(get, path = "/v1/models/{model}/features", operation_id = "get_model_features", tag = "models",
-    params(ModelPath), responses((status = 200, description = "The features.", body = FeatureSetResource)))]
+    params(ModelPath), responses((status = 200, description = "The features.", body = ModelFeatures)))]
 pub async fn get_features(
     State(state): State<AppState>,
     Path(path): Path<ModelPath>,
     conditions: Conditions,
 ) -> ApiResult<Response> {
-    let model = state.store.trained_model(path.model).await?.ok_or_else(|| unknown(path.model))?;
-    let set = FeatureSet::new(model.feature_set, &model.reported);
-    respond::resource(&conditions, &FeatureSetResource::from(&set))
+    let record = find(&state, path.model).await?;
+    let model = state.store.trained_model(record.id).await?.ok_or_else(|| unknown(path.model))?;
+    let set = FeatureSetResource::from(&FeatureSet::new(model.feature_set, &model.reported));
+    respond::resource(&conditions, &ModelFeatures { model_id: record.id, synthetic: is_synthetic(&record), set })
 }
 
 /// Which model forecasts for a station.
@@ -259,7 +294,7 @@ pub async fn get_active_model(
     let activation = state.store.active_model(&station.id, lead).await?;
     let activation = activation.ok_or_else(|| none_active(&station.id, lead))?;
     let tag = tag(&activation);
-    respond::tagged(&conditions, StatusCode::OK, &tag, &active(station.id, lead, activation))
+    respond::tagged(&conditions, StatusCode::OK, &tag, &active(station, lead, activation))
 }
 
 /// Makes a model the one that forecasts for its station.
@@ -287,5 +322,5 @@ pub async fn put_active_model(
     let activation =
         state.store.activate_model(&station.id, lead, body.model_id, by, clock::now(), permits).await?;
     let tag = tag(&activation);
-    respond::tagged(&Conditions::default(), StatusCode::OK, &tag, &active(station.id, lead, activation))
+    respond::tagged(&Conditions::default(), StatusCode::OK, &tag, &active(station, lead, activation))
 }

@@ -194,7 +194,13 @@ pub async fn list_observations(
         let rows = days.iter().map(|day| Ok(observation(day)?.on(day.date))).collect::<ApiResult<Vec<_>>>()?;
         let body = observations_csv::write(rows).into_bytes();
         let tag = etag(&body);
-        respond::tagged_bytes(&conditions, StatusCode::OK, tag, "text/csv; charset=utf-8", body)
+        let mut response = respond::tagged_bytes(&conditions, StatusCode::OK, tag, "text/csv; charset=utf-8", body);
+        if station.synthetic {
+            // the columns are those that can be sent in again, so the mark stands where a file gets its name
+            let name = HeaderValue::from_static("inline; filename=\"synthetic-observations.csv\"");
+            response.headers_mut().insert(header::CONTENT_DISPOSITION, name);
+        }
+        response
     } else {
         let observations = days
             .iter()

@@ -90,7 +90,7 @@ impl IntoResponse for ApiError {
             code: code.slug().to_owned(),
             errors: problem.errors,
             trace_id: REQUEST_ID.try_with(Clone::clone).ok(),
-            extensions: problem.extensions,
+            extensions: *problem.extensions,
         };
         let status = StatusCode::from_u16(code.status()).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         let mut response = (status, Json(document)).into_response();

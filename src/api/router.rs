@@ -10,7 +10,7 @@ use axum::{
     middleware::{self, Next},
     response::{IntoResponse, Response},
 };
-use tower::ServiceBuilder;
+use tower::{ServiceBuilder, limit::GlobalConcurrencyLimitLayer};
 use tower_http::{
     catch_panic::CatchPanicLayer,
     compression::CompressionLayer,
@@ -38,10 +38,14 @@ const REQUEST_ID_HEADER: HeaderName = HeaderName::from_static("x-request-id");
 /// A request id from outside is kept only up to this length: it goes into every log line.
 const LONGEST_REQUEST_ID: usize = 128;
 
+/// Answered however busy the service is: whoever watches it must not end a process that works hard.
+fn vital_signs() -> OpenApiRouter<AppState> {
+    OpenApiRouter::with_openapi(openapi::Document::openapi()).routes(routes!(health::livez))
+}
+
 fn routes() -> OpenApiRouter<AppState> {
-    OpenApiRouter::with_openapi(openapi::Document::openapi())
+    OpenApiRouter::new()
         // the service itself
-        .routes(routes!(health::livez))
         .routes(routes!(health::readyz))
         .routes(routes!(docs::openapi_json))
         .routes(routes!(docs::list_problems))
@@ -85,17 +89,19 @@ fn routes() -> OpenApiRouter<AppState> {
 /// The contract of all addresses, before [`openapi`] completes it.
 #[must_use]
 pub fn document() -> utoipa::openapi::OpenApi {
-    routes().into_openapi()
+    vital_signs().merge(routes()).into_openapi()
 }
 
 /// The whole service.
 pub fn router(state: AppState) -> Router {
     let (router, _) = routes().split_for_parts();
     let router = router.merge(crate::web::router());
+    let (vital_signs, _) = vital_signs().split_for_parts();
     let limits = ServiceBuilder::new()
         .layer(HandleErrorLayer::new(limit_reached))
         .load_shed()
-        .concurrency_limit(state.config.max_requests)
+        // one count for all addresses: a plain limit would count each of them by itself
+        .layer(GlobalConcurrencyLimitLayer::new(state.config.max_requests))
         .timeout(state.config.request_timeout.max(Duration::from_secs(1)));
     router
         .fallback(not_found)
@@ -105,6 +111,7 @@ pub fn router(state: AppState) -> Router {
         .layer(DefaultBodyLimit::max(state.config.max_body_bytes))
         .layer(axum::Extension(BodyLimit(state.config.max_body_bytes)))
         .layer(limits)
+        .merge(vital_signs.method_not_allowed_fallback(method_not_allowed))
         .layer(CatchPanicLayer::custom(from_panic))
         .layer(CompressionLayer::new())
         .layer(middleware::from_fn(with_request_id))

@@ -77,6 +77,7 @@ codes! {
     UnknownOutput "unknown-output" 404 "The job has no such output" "The results document lists the outputs.";
     PreconditionFailed "precondition-failed" 412 "The resource is not the one you saw" "`If-Match` or `If-None-Match` does not hold: somebody changed the resource. Read it again and repeat with its new ETag.";
     PayloadTooLarge "payload-too-large" 413 "The body is too large" "The body exceeds the limit in the detail. Send it in several parts.";
+    Misdirected "misdirected" 421 "The request was meant for another host" "A service that needs no key answers only to the name of its own machine, so that no page of the web can reach it under a name of its own. Use `localhost` or the address; behind a proxy start with a key or with `--allow-anonymous`.";
     UnsupportedMediaType "unsupported-media-type" 415 "The content type is not supported" "The detail lists the content types that this call accepts.";
     ModelMismatch "model-mismatch" 422 "The model does not fit the station" "The model was trained for another station or lead. Name one of this station and lead.";
     Interrupted "interrupted" 500 "The job was interrupted" "The service ended while the job was running. Submit it again.";
@@ -138,8 +139,8 @@ pub struct Problem {
     pub detail: String,
     /// The fields at fault.
     pub errors: Vec<FieldError>,
-    /// Further members of the problem document: an import's report.
-    pub extensions: serde_json::Map<String, serde_json::Value>,
+    /// Further members of the problem document: an import's report. Boxed, so that a `Result` stays small.
+    pub extensions: Box<serde_json::Map<String, serde_json::Value>>,
     /// For [`Code::Internal`]: the cause, for the log and never for the caller.
     pub cause: Option<String>,
 }
@@ -147,7 +148,7 @@ pub struct Problem {
 impl Problem {
     /// A problem without fields at fault.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
-        Self { code, detail: detail.into(), errors: Vec::new(), extensions: serde_json::Map::new(), cause: None }
+        Self { code, detail: detail.into(), errors: Vec::new(), extensions: Box::default(), cause: None }
     }
 
     /// A problem with one field at fault; its detail is the problem's.

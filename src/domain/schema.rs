@@ -92,7 +92,7 @@ pub fn reader_fault(error: &serde_path_to_error::Error<serde_json::Error>, prefi
     }
     let text = error.inner().to_string();
     // the position that serde_json adds is that of a value in memory, which tells the caller nothing
-    let detail = text.split(" at line ").next().unwrap_or(&text).to_owned();
+    let detail = short(text.split(" at line ").next().unwrap_or(&text).to_owned());
     FieldError::new(pointer, "invalid_value", detail)
 }
 
@@ -123,13 +123,13 @@ impl Explainer {
                 vec![FieldError::new(format!("{at}/{}", escape(name)), "missing_field", detail)]
             }
             ValidationErrorKind::Enum { options } => {
-                let detail = format!("must be one of {}, not {}", list(options), error.instance());
+                let detail = format!("must be one of {}, not {}", list(options), short(error.instance().to_string()));
                 vec![FieldError::new(at, "not_in_list", detail)]
             }
             ValidationErrorKind::Minimum { .. } | ValidationErrorKind::Maximum { .. } => {
                 vec![FieldError::new(at, "out_of_range", self.range_detail(error))]
             }
-            kind => vec![FieldError::new(at, code(kind), error.to_string())],
+            kind => vec![FieldError::new(at, code(kind), short(error.to_string()))],
         }
     }
 
@@ -150,7 +150,7 @@ impl Explainer {
         let meant: Vec<_> = context.iter().filter(|branch| !wants_null(branch)).collect();
         match meant.as_slice() {
             [branch] => branch.iter().flat_map(|error| self.faults(error, prefix)).collect(),
-            _ => vec![FieldError::new(at, "no_alternative", error.to_string())],
+            _ => vec![FieldError::new(at, "no_alternative", short(error.to_string()))],
         }
     }
 
@@ -195,7 +195,16 @@ impl Explainer {
         };
         let about = schema.and_then(|schema| schema.get("description")?.as_str());
         let about = about.map_or_else(String::new, |about| format!(" ({})", about.trim_end_matches('.')));
-        format!("must be {range}{about}, not {}", error.instance())
+        format!("must be {range}{about}, not {}", short(error.instance().to_string()))
+    }
+}
+
+/// What a caller sent is repeated to them, but not megabytes of it.
+fn short(text: String) -> String {
+    const LONGEST: usize = 300;
+    match text.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{} ...", &text[..end]),
+        None => text,
     }
 }
 

@@ -204,6 +204,14 @@ pub enum FormatError {
         /// What a header looks like.
         expected: String,
     },
+    /// More columns than any export has.
+    #[error("line {line}: the header has more than {most} columns")]
+    TooManyColumns {
+        /// 1-based line of the header.
+        line: u64,
+        /// Columns that a file may have.
+        most: usize,
+    },
     /// A column that nobody knows.
     #[error("line {line}, column {column}: unknown column `{name}`; accepted are {accepted}")]
     UnknownColumn {
@@ -256,7 +264,7 @@ impl FormatError {
     pub const fn place(&self) -> Option<(u64, Option<u64>)> {
         match self {
             Self::Empty | Self::UnknownZone { .. } => None,
-            Self::MissingColumn { line, .. } | Self::TooManyRows { line } => Some((*line, None)),
+            Self::MissingColumn { line, .. } | Self::TooManyRows { line } | Self::TooManyColumns { line, .. } => Some((*line, None)),
             Self::NotText { line, column, .. }
             | Self::UnknownColumn { line, column, .. }
             | Self::DuplicateColumn { line, column, .. }

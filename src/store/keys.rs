@@ -107,7 +107,7 @@ impl Store {
     /// Makes a key and returns the text that its owner must keep: `firn_<id>_<secret>`.
     ///
     /// # Errors
-    /// [`StoreError::Sql`] where it cannot be stored.
+    /// [`StoreError::NameTaken`] where another key has the name: the history of what is written shows names.
     pub async fn create_key(
         &self,
         name: &str,
@@ -118,6 +118,11 @@ impl Store {
         let id = hex(&rand::random::<[u8; 6]>());
         let secret = hex(&rand::random::<[u8; 32]>());
         let mut tx = self.begin().await?;
+        let taken: Option<i64> =
+            sqlx::query_scalar("SELECT 1 FROM api_key WHERE name = ?").bind(name).fetch_optional(&mut *tx).await?;
+        if taken.is_some() {
+            return Err(StoreError::NameTaken(name.to_owned()));
+        }
         sqlx::query("INSERT INTO api_key (id, hash, name, role, created, expires) VALUES (?, ?, ?, ?, ?, ?)")
             .bind(&id)
             .bind(hash(&secret))
@@ -172,7 +177,13 @@ impl Store {
         if !same || !row.key.is_valid(now) {
             return Ok(None);
         }
-        self.note_use(&row.key, now).await?;
+        // a read must neither wait for the writer nor fail with it
+        let (store, key) = (self.clone(), row.key.clone());
+        tokio::spawn(async move {
+            if let Err(error) = store.note_use(&key, now).await {
+                tracing::warn!(%error, "the use of a key could not be noted");
+            }
+        });
         Ok(Some(row.key))
     }
 

@@ -9,6 +9,7 @@ pub mod stations;
 
 use std::{
     fs::{File, TryLockError},
+    io::{ErrorKind, Read as _},
     path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
@@ -32,6 +33,7 @@ const OLDEST_SAFE_SQLITE: [u32; 3] = [3, 51, 3];
 
 /// Marks a file as ours in the header of SQLite: "firn" in ASCII.
 const APPLICATION_ID: u32 = 0x6669_726e;
+const OURS: [u8; 4] = APPLICATION_ID.to_be_bytes();
 
 /// What can go wrong between us and the database.
 #[derive(Debug, thiserror::Error)]
@@ -68,6 +70,9 @@ pub enum StoreError {
     /// The attempt counts no more: the job ended, or another worker has taken it.
     #[error("the attempt counts no more")]
     Fenced,
+    /// Another key has the name.
+    #[error("there is a key named {0} already; a name stands for one key, so that the history tells who wrote")]
+    NameTaken(String),
     /// `If-Match` or `If-None-Match` does not hold.
     #[error("the precondition does not hold")]
     Precondition,
@@ -101,6 +106,7 @@ impl Store {
     pub async fn open(data_dir: &Path) -> Result<Self> {
         create_directory(data_dir)?;
         let path = data_dir.join("firn.db");
+        refuse_foreign(&path)?;
         let options = SqliteConnectOptions::new()
             .filename(&path)
             .create_if_missing(true)
@@ -164,6 +170,19 @@ fn create_directory(path: &Path) -> Result<()> {
 fn at(path: &Path) -> impl Fn(std::io::Error) -> StoreError {
     let path = path.to_owned();
     move |source| StoreError::Io { path: path.clone(), source }
+}
+
+/// Looks at the header of the file before SQLite does, which would switch a foreign database to WAL.
+fn refuse_foreign(path: &Path) -> Result<()> {
+    let mut header = [0; 72];
+    match File::open(path).and_then(|mut file| file.read_exact(&mut header)) {
+        // no file yet, or one that SQLite has not written yet
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::UnexpectedEof) => Ok(()),
+        Err(error) => Err(at(path)(error)),
+        // sqlite.org/fileformat.html: the application id is the big-endian number at offset 68
+        Ok(()) if header.starts_with(b"SQLite format 3\0") && (header[68..72] == OURS || header[68..72] == [0; 4]) => Ok(()),
+        Ok(()) => Err(StoreError::Foreign(path.to_owned())),
+    }
 }
 
 async fn check_library(pool: &SqlitePool) -> Result<()> {

@@ -1,8 +1,8 @@
 //! Days: what was observed, what avalanches were recorded, and every state that either ever had.
 
-use std::{collections::HashMap, fmt::Write as _};
+use std::{collections::HashMap, fmt::Write as _, sync::LazyLock};
 
-use firn_science::forecast::day::{DayRecord, VARIABLES, Variable};
+use firn_science::forecast::day::{Activity, DayRecord, VARIABLES, Variable};
 use jiff::{Timestamp, civil::Date};
 use sqlx::{AssertSqlSafe, FromRow, Row, Sqlite, SqliteConnection, Transaction, query::Query, sqlite::SqliteArguments, sqlite::SqliteRow};
 
@@ -223,7 +223,7 @@ async fn insert_revision<T: serde::Serialize>(
 }
 
 /// `INSERT OR REPLACE` over every variable, written once from the list of variables.
-fn upsert_values_sql() -> String {
+static UPSERT_VALUES: LazyLock<String> = LazyLock::new(|| {
     let mut sql = String::from("INSERT OR REPLACE INTO observation (station, date");
     for variable in Variable::ALL {
         // writing to a String cannot fail
@@ -233,6 +233,12 @@ fn upsert_values_sql() -> String {
     sql.push_str(&", ?".repeat(VARIABLES + 2));
     sql.push(')');
     sql
+});
+
+/// The condition that a row has a value of one of `variables`, whose names are ours and not a caller's.
+fn any_of(variables: &[Variable]) -> String {
+    let names: Vec<String> = variables.iter().map(|variable| format!("{} IS NOT NULL", variable.name())).collect();
+    if names.is_empty() { "0".into() } else { format!("({})", names.join(" OR ")) }
 }
 
 fn bind_values<'q>(
@@ -254,8 +260,7 @@ async fn write_values(
         return Ok(Written::Unchanged);
     }
     let revision = before.map_or(0, |before| before.revision) + 1;
-    let sql = upsert_values_sql();
-    let query = sqlx::query(AssertSqlSafe(sql)).bind(station.as_str()).bind(date.to_string());
+    let query = sqlx::query(AssertSqlSafe(UPSERT_VALUES.as_str())).bind(station.as_str()).bind(date.to_string());
     bind_values(query, values).bind(revision).bind(author.at.to_string()).execute(&mut **tx).await?;
     let body = Observation::from_values(values, None).map_err(StoreError::corrupt)?;
     insert_revision(tx, "observation_revision", station, date, revision, &body, author).await?;
@@ -293,6 +298,21 @@ async fn write_avalanche(
     Ok(if before.is_some() { Written::Updated } else { Written::Created })
 }
 
+/// Of a day of an import, what may replace what is known: a table of avalanches alone must not wipe out the weather, nor
+/// an export that still says unknown the avalanches that were reported later.
+fn without_loss(before: Option<&StoredDay>, day: &DayWrite) -> DayWrite {
+    let mut day = day.clone();
+    let no_weather = day.values.is_some_and(|values| values.iter().all(Option::is_none));
+    if no_weather && (day.avalanche.is_some() || before.is_some()) {
+        day.values = None;
+    }
+    let unknown = day.avalanche.is_some_and(|record| record.activity == Activity::Unknown);
+    if unknown && before.is_some_and(|before| before.avalanche.is_some()) {
+        day.avalanche = None;
+    }
+    day
+}
+
 async fn write_day(
     tx: &mut Transaction<'_, Sqlite>,
     station: &StationId,
@@ -318,7 +338,8 @@ async fn write_day(
 }
 
 impl Store {
-    /// Writes all `days` in one transaction and says what became of each; a day that says nothing new makes no revision.
+    /// Writes all `days` in one transaction and says what became of each; a day that says nothing new makes no revision,
+    /// and a part that says nothing at all (no weather, an unknown activity) replaces nothing that is known.
     ///
     /// # Errors
     /// [`StoreError::Sql`]: then nothing was written.
@@ -331,7 +352,9 @@ impl Store {
         let known: HashMap<Date, StoredDay> = known.into_iter().map(|day| (day.date, day)).collect();
         let mut written = Vec::with_capacity(days.len());
         for day in days {
-            written.push(write_day(&mut tx, station, known.get(&day.date), day, author).await?);
+            let before = known.get(&day.date);
+            let day = without_loss(before, day);
+            written.push(write_day(&mut tx, station, before, &day, author).await?);
         }
         tx.commit().await?;
         Ok(written)
@@ -389,31 +412,45 @@ impl Store {
         Ok(self.days(station, from, to, u32::MAX).await?.iter().map(StoredDay::record).collect())
     }
 
-    /// The date of the newest observation of weather or snowpack, if there is any.
+    /// The newest day until `until` that has a value of one of `variables`, if there is any.
     ///
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
-    pub async fn last_observation(&self, station: &StationId) -> Result<Option<Date>> {
-        let date: Option<String> = sqlx::query_scalar("SELECT max(date) FROM observation WHERE station = ?")
+    pub async fn last_observation(
+        &self,
+        station: &StationId,
+        variables: &[Variable],
+        until: Date,
+    ) -> Result<Option<Date>> {
+        let sql = format!("SELECT max(date) FROM observation WHERE station = ? AND date <= ? AND {}", any_of(variables));
+        let date: Option<String> = sqlx::query_scalar(AssertSqlSafe(sql))
             .bind(station.as_str())
+            .bind(until.to_string())
             .fetch_one(&self.reader)
             .await?;
         date.as_deref().map(parse_date).transpose()
     }
 
-    /// The observed date that is nearest to `date`, if there is any: what a mistyped date may have meant.
+    /// The day nearest to `date` that has a value of one of `variables`: what a mistyped date may have meant.
     ///
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
-    pub async fn nearest_observation(&self, station: &StationId, date: Date) -> Result<Option<Date>> {
-        let date: Option<String> = sqlx::query_scalar(
-            "SELECT date FROM observation WHERE station = ?1
+    pub async fn nearest_observation(
+        &self,
+        station: &StationId,
+        variables: &[Variable],
+        date: Date,
+    ) -> Result<Option<Date>> {
+        let sql = format!(
+            "SELECT date FROM observation WHERE station = ?1 AND {}
              ORDER BY abs(julianday(date) - julianday(?2)), date LIMIT 1",
-        )
-        .bind(station.as_str())
-        .bind(date.to_string())
-        .fetch_optional(&self.reader)
-        .await?;
+            any_of(variables)
+        );
+        let date: Option<String> = sqlx::query_scalar(AssertSqlSafe(sql))
+            .bind(station.as_str())
+            .bind(date.to_string())
+            .fetch_optional(&self.reader)
+            .await?;
         date.as_deref().map(parse_date).transpose()
     }
 

@@ -110,7 +110,9 @@ mod tests {
 
     #[test]
     fn every_file_is_there_with_a_media_type() {
-        for name in OWN.iter().map(|(name, _)| (*name).to_owned()).chain(READER_FILES.map(|name| format!("{READER}{name}"))) {
+        for name in
+            OWN.iter().map(|(name, _)| (*name).to_owned()).chain(READER_FILES.map(|name| format!("{READER}{name}")))
+        {
             let asset = find(&name).unwrap_or_else(|| panic!("{name} is not served"));
             assert!(!asset.bytes.is_empty(), "{name} is empty");
         }
@@ -159,7 +161,9 @@ mod tests {
     fn no_script_writes_markup() {
         for (name, bytes) in OWN.iter().filter(|(name, _)| name.ends_with(".js")) {
             let text = std::str::from_utf8(bytes).unwrap();
-            for mark in ["innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(", "new Function", "DOMParser"] {
+            for mark in
+                ["innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(", "new Function", "DOMParser"]
+            {
                 assert!(!text.contains(mark), "{name} uses {mark}");
             }
         }

@@ -25,7 +25,8 @@ use crate::{
 use assets::Asset;
 
 /// Everything a page needs comes from this service, and nothing may be written into it.
-const POLICY: &str = "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
+const POLICY: &str =
+    "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
 
 /// The API reader draws its icons from `data:` addresses and sets a few inline styles; scripts stay as strict.
 const READER_POLICY: &str = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; \

@@ -184,3 +184,37 @@ async fn no_refused_call_leaves_a_trace() {
         assert_eq!(app.rows().await, before, "{name}");
     }
 }
+
+/// A request whose body does not come.
+const HALF: &str = "PUT /v1/stations/a HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\
+                    content-type: application/json\r\ncontent-length: 12\r\n\r\n";
+
+#[tokio::test]
+async fn a_request_that_takes_too_long_is_given_up() {
+    let app = TestApp::with(|config| config.request_timeout = std::time::Duration::from_secs(1)).await;
+    let answer = app.raw(HALF).await;
+    assert!(answer.starts_with("HTTP/1.1 408 "), "{answer}");
+    assert!(answer.contains("application/problem+json") && answer.contains("request-timeout"), "{answer}");
+    assert_eq!(app.rows().await["station"], 0);
+}
+
+#[tokio::test]
+async fn more_requests_than_can_be_worked_on_are_refused_for_now() {
+    let app = TestApp::with(|config| config.max_requests = 1).await;
+    let since = std::time::Instant::now();
+    let (slow, refused) = loop {
+        let slow = app.begin(HALF).await;
+        tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+        // another address: all share one count
+        let answer = app.get("/v1/stations").await;
+        if answer.status != 200 {
+            break (slow, answer);
+        }
+        assert!(since.elapsed() < std::time::Duration::from_secs(10), "the slow request was never taken up");
+    };
+    refused.problem("overloaded");
+    assert_eq!(refused.header("retry-after"), "10");
+    // a busy process lives, and whoever restarts it for not saying so makes it worse
+    assert_eq!(app.get("/livez").await.status, 200);
+    drop(slow);
+}

@@ -115,3 +115,33 @@ async fn a_fresh_machine_has_something_to_look_at() {
     }
     assert_eq!(again.read("/v1/stations/synthetic").await, station);
 }
+
+/// A request whose body is still to come.
+const HALF: &str = "PUT /v1/stations/a HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\
+                    content-type: application/json\r\ncontent-length: 12\r\n\r\n";
+const REST: &str = "{\"name\":\"a\"}";
+
+#[tokio::test]
+async fn what_is_being_asked_is_answered_before_the_end() {
+    let mut app = TestApp::start().await;
+    let asking = app.begin(HALF).await;
+    // an answer on another connection shows that the first has been taken up
+    app.read("/livez").await;
+    app.begin_to_stop();
+    let answer = app::finish(asking, REST).await;
+    assert!(answer.starts_with("HTTP/1.1 201 "), "{answer}");
+    app.stopped().await;
+}
+
+#[tokio::test]
+async fn a_client_that_says_nothing_does_not_hold_the_server() {
+    let mut app = TestApp::with(|config| config.shutdown_timeout = std::time::Duration::from_secs(1)).await;
+    let silent = app.begin(HALF).await;
+    app.read("/livez").await;
+    app.begin_to_stop();
+    let since = std::time::Instant::now();
+    app.stopped().await;
+    // the deadline, and what a busy machine adds; without a deadline it would be the time-out of the request
+    assert!(since.elapsed() < app.state.config.request_timeout / 3, "{:?}", since.elapsed());
+    drop(silent);
+}

@@ -16,6 +16,9 @@ use crate::{
     },
 };
 
+/// Bytes of JSON that one resource may have; only imports are larger.
+const LARGEST_RESOURCE: usize = 1024 * 1024;
+
 /// What a body claims to be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MediaType {
@@ -113,6 +116,10 @@ where
     async fn from_request(request: Request, state: &S) -> Result<Self, Self::Rejection> {
         media_type(request.headers(), &[MediaType::Json])?;
         let Body(bytes) = Body::from_request(request, state).await?;
+        if bytes.len() > LARGEST_RESOURCE {
+            let detail = format!("a resource is at most {LARGEST_RESOURCE} bytes of JSON, not {}", bytes.len());
+            return Err(Problem::new(Code::PayloadTooLarge, detail).into());
+        }
         parse(&bytes).map(Self).map_err(ApiError)
     }
 }

@@ -83,6 +83,9 @@ const KNOWN: [(Column, &str, Use); 28] = [
     (C::Wetness, "Wetness", Use::Unread),
 ];
 
+/// Columns that a file may have.
+const MOST_COLUMNS: usize = 500;
+
 /// Where each column stands in this file.
 #[derive(Debug)]
 pub(super) struct Columns {
@@ -98,6 +101,10 @@ pub(super) struct Columns {
 impl Columns {
     /// Reads the header, whose text is `header`, on line `line`.
     pub(super) fn read(header: &str, fields: &[Field<'_>], line: u64) -> Result<Self, FormatError> {
+        // the export has 35; each name of a longer header would be held against all before it
+        if fields.len() > MOST_COLUMNS {
+            return Err(FormatError::TooManyColumns { line, most: MOST_COLUMNS });
+        }
         let mut columns = Self { at: [None; KNOWN.len()], unknown: Vec::new(), width: fields.len(), fewest: 0 };
         for (position, field) in fields.iter().enumerate() {
             let name = field.text.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -118,9 +125,12 @@ impl Columns {
                 columns.unknown.push(name);
             }
         }
-        if columns.position(C::Date).is_none() {
-            let expected = "the names of the export: Date, Area, Air Temp, Wind Dir, Wind Speed ...".to_owned();
-            return Err(FormatError::MissingColumn { line, column: "Date", expected });
+        // every export has both; a table of another origin that has a date alone would replace good days with empty ones
+        for (column, name) in [(C::Date, "Date"), (C::Area, "Area")] {
+            if columns.position(column).is_none() {
+                let expected = "the names of the export: Date, Area, Air Temp, Wind Dir, Wind Speed ...".to_owned();
+                return Err(FormatError::MissingColumn { line, column: name, expected });
+            }
         }
         columns.fewest -= usize::from(columns.position(C::Comments) == Some(columns.fewest - 1));
         Ok(columns)
@@ -219,10 +229,14 @@ mod tests {
     }
 
     #[test]
-    fn a_header_without_a_date_or_with_a_column_twice_is_refused() {
+    fn a_header_without_date_and_area_or_with_a_column_twice_is_refused() {
+        let other = columns("date,season,air_temp_c,snow_temp_c").unwrap_err();
+        assert!(matches!(other, FormatError::MissingColumn { line: 1, column: "Area", .. }), "{other}");
         assert!(matches!(columns("Area,Cloud"), Err(FormatError::MissingColumn { line: 1, column: "Date", .. })));
         let twice = columns("Date,Cloud, cloud").unwrap_err();
         assert!(matches!(twice, FormatError::DuplicateColumn { line: 1, column: 12, .. }), "{twice}");
+        let wide = columns(&(0..600).map(|at| at.to_string()).collect::<Vec<_>>().join(",")).unwrap_err();
+        assert!(matches!(wide, FormatError::TooManyColumns { line: 1, most: 500 }), "{wide}");
         assert!(matches!(columns("Date,X,X"), Err(FormatError::DuplicateColumn { column: 8, .. })));
     }
 }

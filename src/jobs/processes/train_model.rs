@@ -257,7 +257,7 @@ pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output,
     })?;
     let inputs = payload.inputs;
     let provenance = json!({"version": payload.version, "input_hash": payload.input_hash, "seed": inputs.seed});
-    let scores = serde_json::to_value(&trained.evaluation.scores.svm).map_err(science)?;
+    let scores = serde_json::to_value(trained.evaluation.scores.svm).map_err(science)?;
     let results = json!({
         "station": inputs.station, "synthetic": payload.synthetic, "scores": scores, "provenance": provenance,
     });

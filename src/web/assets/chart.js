@@ -31,7 +31,7 @@ export function months(scale, top, bottom) {
   }
   // the first day is named where the name of the next month leaves room for it
   const rest = 32 - Number(scale.first.slice(8));
-  if (!scale.first.endsWith('-01') && rest * scale.step > 46) marks.push(s('text', { class: 'tick', x: MARGIN.left, y: bottom + 12 }, dayMonth(scale.first)));
+  if (!scale.first.endsWith('-01') && rest * scale.step > 58) marks.push(s('text', { class: 'tick', x: MARGIN.left, y: bottom + 12 }, dayMonth(scale.first)));
   return marks;
 }
 

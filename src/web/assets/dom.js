@@ -44,13 +44,14 @@ export function table(caption, heads, rows, attributes = {}) {
 /** Draws now and again whenever the width of the figure changes: marks and text keep their size on every screen. */
 export function drawn(element, draw) {
   let last = 0;
-  const observer = new ResizeObserver(() => {
+  const redraw = () => {
     const width = Math.floor(element.clientWidth);
     if (width > 0 && width !== last) {
       last = width;
       element.replaceChildren(draw(width));
     }
-  });
-  observer.observe(element);
+  };
+  // after the frame, not within: a figure that grows may bring a scroll bar, which changes the width of all the others
+  new ResizeObserver(() => setTimeout(redraw)).observe(element);
   return element;
 }

@@ -74,7 +74,7 @@ function inputs(quality, formulas) {
 export function inWords(forecast, { now, inTraining, formulas }) {
   const against = forecast.probability >= forecast.threshold ? 'at or above' : 'below';
   return [
-    h('h2', null, forecast.lead === 0 ? 'Forecast' : 'Forecast for tomorrow'),
+    h('h2', null, forecast.lead === 0 ? 'Forecast' : `Forecast, ${LEADS[forecast.lead].toLowerCase()}`),
     h('p', { class: 'when' }, h('time', { datetime: forecast.date }, longDay(forecast.date)), h('span', { class: 'muted' }, ` ${ago(forecast.date, now)}`)),
     h('p', { class: 'verdict' },
       h('span', { class: 'probability' }, percent(forecast.probability)),

@@ -5,7 +5,7 @@ import { byId, h, s, show } from './dom.js';
 import { basis, categoryBadge, problemBox, scale, syntheticBadge } from './forecast.js';
 import { drawJobs, watchJobs } from './jobs.js';
 import { showKey } from './key.js';
-import { ago, dayNumber, dayOf, LABELS, longDay, percent, today } from './text.js';
+import { ago, dayNumber, dayOf, LABELS, LEADS, longDay, percent, today } from './text.js';
 
 /** Days of the strip of bars beside a forecast. */
 const STRIP_DAYS = 30;
@@ -42,7 +42,7 @@ function strip({ latest, strip: days }) {
 function newest(station, forecast) {
   const { latest } = forecast;
   return h('div', { class: 'newest' },
-    h('p', { class: 'when' }, h('time', { datetime: latest.date }, longDay(latest.date)),
+    h('p', { class: 'when' }, h('span', { class: 'badge' }, LEADS[latest.lead] ?? `Lead ${latest.lead}`), ' ', h('time', { datetime: latest.date }, longDay(latest.date)),
       h('span', { class: 'muted' }, ` ${ago(latest.date, today(station.timezone))}`)),
     h('div', { class: 'newest-row' },
       h('p', { class: 'verdict' }, h('a', { class: 'probability', href: href(station, { lead: latest.lead, date: latest.date }) }, percent(latest.probability)),
@@ -75,7 +75,7 @@ async function drawStations() {
     const training = jobs.going.some((job) => job.processID === 'train-model');
     byId('begin').open ||= stations.length === 0;
     show(place, stations.length === 0
-      ? h('p', { class: 'card' }, 'There is no station yet. Begin with the four lines below, or look at made-up data with ', h('code', null, 'firn serve --demo'), '.')
+      ? h('div', { class: 'card' }, h('p', null, 'There is no station yet. Begin with the four lines below, or look at made-up data with ', h('code', null, 'firn serve --demo'), '.'))
       : h('ul', { class: 'stations' }, read.map((one) => stationCard({ ...one, training }))));
     show(byId('notice'));
   } catch (problem) {
@@ -91,7 +91,7 @@ function beginning() {
   const step = (about, line) => [h('p', null, about), h('pre', null, h('code', null, line))];
   return [
     step('1. Make the station.', `curl -X PUT ${at}/v1/stations/my-station${key} ${json} -d '{"name": "My station", "timezone": "Europe/London"}'`),
-    step('2. Send its days: the CSV of the API, NDJSON, JSON, or with ?format=sais the export of the Scottish service. A model needs at least two winters with avalanche days.',
+    step('2. Send its days: the CSV of the API, NDJSON, JSON, or with ?format=sais the export of the Scottish service. A model needs at least three seasons with avalanche days and days without.',
       `curl -X POST ${at}/v1/stations/my-station/observations${key} -H 'Content-Type: text/csv' --data-binary @observations.csv`),
     step('3. Train a model; the first one of a station becomes its active one.',
       `curl -X POST ${at}/v1/processes/train-model/execution${key} ${json} -d '{"inputs": {"station": "my-station", "label": "observed", "lead": 0}}'`),

@@ -10,9 +10,12 @@ export function keyHeader() {
 }
 
 let asking = null;
+// who does not want to give a key is not asked again by every look at the jobs
+let declined = false;
 
 /** Asks once, however many calls wait for the answer; refuses with `problem` if nobody gives a key. */
 export function askKey(problem) {
+  if (declined) return Promise.reject(problem);
   asking ??= ask(problem).finally(() => { asking = null; showKey(); });
   return asking;
 }
@@ -34,7 +37,10 @@ function ask(problem) {
       // what is pasted from a terminal may bring white space or signs that no header can carry
       const key = input.value.trim();
       dialog.remove();
-      if (dialog.returnValue !== 'use' || !/^[\x21-\x7e]+$/.test(key)) return reject(problem);
+      if (dialog.returnValue !== 'use' || !/^[\x21-\x7e]+$/.test(key)) {
+        declined = true;
+        return reject(problem);
+      }
       sessionStorage.setItem(NAME, key);
       resolve();
     });
@@ -43,10 +49,11 @@ function ask(problem) {
   });
 }
 
-/** A way to forget the key, where there is one. */
+/** A way to forget the key, where there is one, and to give one after all. */
 export function showKey() {
   const place = byId('key');
   if (place === null) return;
+  if (declined) return show(place, h('button', { type: 'button', onclick: () => location.reload() }, 'Give a key'));
   if (sessionStorage.getItem(NAME) === null) return show(place);
   const forget = () => { sessionStorage.removeItem(NAME); location.reload(); };
   show(place, h('button', { type: 'button', onclick: forget }, 'Forget the key'));

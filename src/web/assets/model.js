@@ -118,7 +118,7 @@ function seasonsChart(evaluation, width) {
   return s('svg', { width, height, class: 'chart', role: 'img', 'aria-label': `AUC of each season that was left out, ${seasonName(seasons[0].season)} to ${seasonName(seasons.at(-1).season)}; the values stand in the table below` },
     steps.map((auc) => [s('line', { class: auc === 0.5 ? 'zero' : 'grid', x1: left, x2: width - right, y1: y(auc), y2: y(auc) }), s('text', { class: 'tick', x: left - 5, y: y(auc) + 4, 'text-anchor': 'end' }, number(auc, 1))]),
     seasons.map((season, at) => [
-      (room > 34 || at % 2 === 0) && s('text', { class: 'tick', x: x(at), y: bottom + 15, 'text-anchor': 'middle' }, `${String(season.season % 100).padStart(2, '0')}/${String((season.season + 1) % 100).padStart(2, '0')}`),
+      (room > 44 || at % 2 === 0) && s('text', { class: 'tick', x: x(at), y: bottom + 15, 'text-anchor': 'middle' }, `${String(season.season % 100).padStart(2, '0')}/${String((season.season + 1) % 100).padStart(2, '0')}`),
       drawnKinds.map(([kind, name]) => season.scores[kind].auc !== null && s('circle', { class: name, cx: x(at), cy: y(season.scores[kind].auc), r: 4.5 },
         s('title', null, `${seasonName(season.season)}, ${MODELS[kind]}: ${number(season.scores[kind].auc, 3)}`)))]));
 }

@@ -54,14 +54,14 @@ function draw(name, season, selected, width) {
 }
 
 /** Draws a panel for each variable that the season has. */
-export function drawObservations(place, season, { selected }) {
+export function drawObservations(place, season, { selected, lead }) {
   const day = season.observations.get(selected);
   show(place,
     h('h2', null, 'Observations'),
     season.variables.length === 0
       ? h('p', { class: 'muted' }, 'No weather or snow was recorded in this season.')
       : [
-        h('p', { class: 'muted' }, `Values of ${dayMonth(selected)} beside the names; shaded: avalanche days; a gap is a missing value.`),
+        h('p', { class: 'muted' }, `Beside the names: ${dayMonth(selected)}${lead > 0 ? ', the newest day that the forecast reads' : ''}. Shaded: avalanche days. A gap is a missing value.`),
         h('div', { class: 'multiples' }, season.variables.map((name) => h('figure', null,
           h('figcaption', null, h('span', null, VARIABLES[name].name, h('span', { class: 'muted' }, ` ${VARIABLES[name].about ?? VARIABLES[name].unit}`)),
             h('strong', null, valueText(name, day?.[name]))),

@@ -34,7 +34,7 @@ export function drawSimilar(place, answer, { link, observed, forecast, activity 
       ? h('p', { class: 'muted' }, 'The machine holds no day that is like this one.')
       : [
         h('p', { class: 'muted wide' }, 'The nearest of the days that the machine holds (its support vectors) and what happened. Adds: what the day adds to the decision value, which is ',
-          `${signed(forecast.decision_value)} over all days held; above 0 speaks for an avalanche day. Alike: 1 is the same weather and snow.`,
+          `${signed(forecast.decision_value)} with all days held and the offset of the machine; above 0 speaks for an avalanche day. Alike: 1 is the same weather and snow.`,
           held && ' The day itself is among them because it was in the training.'),
         table('Similar past days, most similar first', ['Day', 'What happened', 'Adds', ...numbers(['Alike', ...columns.map((name) => VARIABLES[name].name)])], [
           ...(held ? [] : [own]),

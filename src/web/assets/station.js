@@ -18,6 +18,8 @@ const page = { station: null, models: [], active: new Map(), seasons: [], lead: 
 
 const asked = () => Object.fromEntries(new URLSearchParams(location.search));
 const chosenModel = () => page.models.find((model) => model.id === (page.modelId ?? page.active.get(page.lead))) ?? null;
+/** The newest day that the forecast of the day reads. */
+const baseDay = (day = page.day) => dayOf(dayNumber(day) - page.lead);
 const now = () => today(page.station.timezone);
 
 const address = ({ day = page.day, lead = page.lead, modelId = page.modelId } = {}) => `/stations/${encodeURIComponent(id)}${query({
@@ -113,9 +115,13 @@ function neighbour(step) {
   const { dates, year } = page.season;
   const beyond = step > 0 ? dates.find((date) => date > page.day) : dates.findLast((date) => date < page.day);
   if (beyond !== undefined) return { day: beyond };
-  const other = page.seasons[page.seasons.indexOf(year) + step];
+  const other = seasonBeside(year, step);
   return other === undefined ? null : { year: other, end: step > 0 ? 'first' : 'last' };
 }
+
+/** The nearest season with days after or before a year. */
+const seasonBeside = (year, step) => (step > 0
+  ? page.seasons.find((other) => other > year) : page.seasons.findLast((other) => other < year));
 
 async function go(target) {
   if (target.day !== undefined) return choose(target.day);
@@ -130,17 +136,16 @@ function drawControls() {
   };
   const leads = [...page.active.keys()];
   const newest = page.latest?.date ?? null;
-  const earlier = page.seasons.indexOf(page.season.year) - 1;
   const seasonStep = (text, name, year) => h('button', { type: 'button', 'aria-label': name, title: name, disabled: year === undefined, onclick: () => within('notice', () => go({ year, end: 'last' })) }, text);
   const date = h('input', { type: 'date', id: 'date', value: page.day, required: true, onchange: (event) => event.target.value && choose(event.target.value) });
   const seasons = h('select', { id: 'season-choice', onchange: (event) => within('notice', () => go({ year: Number(event.target.value), end: 'last' })) },
-    (page.seasons.includes(page.season.year) ? page.seasons : [...page.seasons, page.season.year]).toReversed().map((year) => h('option', { value: year, selected: year === page.season.year }, seasonName(year))));
+    (page.seasons.includes(page.season.year) ? page.seasons : [...page.seasons, page.season.year].sort((a, b) => a - b)).toReversed().map((year) => h('option', { value: year, selected: year === page.season.year }, seasonName(year))));
   // a control that is pressed again and again must keep the focus although it is drawn anew
   const focused = document.activeElement?.getAttribute('aria-label') ?? document.activeElement?.id;
   show(byId('controls'), h('form', { class: 'controls', onsubmit: (event) => event.preventDefault() },
     h('span', { class: 'group' }, h('label', { for: 'date' }, 'Day'), step('‹', 'Previous day', -1), date, step('›', 'Next day', 1),
       newest !== null && h('button', { type: 'button', disabled: newest === page.day, onclick: () => choose(newest) }, 'Newest')),
-    h('span', { class: 'group' }, h('label', { for: 'season-choice' }, 'Season'), seasonStep('‹', 'Previous season', page.seasons[earlier]), seasons, seasonStep('›', 'Next season', page.seasons[earlier + 2])),
+    h('span', { class: 'group' }, h('label', { for: 'season-choice' }, 'Season'), seasonStep('‹', 'Previous season', seasonBeside(page.season.year, -1)), seasons, seasonStep('›', 'Next season', seasonBeside(page.season.year, 1))),
     leads.length > 1 && h('fieldset', { class: 'group' }, h('legend', null, 'Lead'), leads.map((lead) => h('label', { class: 'choice' },
       h('input', { type: 'radio', name: 'lead', value: lead, checked: lead === page.lead, onchange: () => chooseLead(lead) }), LEADS[lead] ?? lead)))));
   if (focused) byId('controls').querySelector(`[aria-label="${CSS.escape(focused)}"], #${CSS.escape(focused.replaceAll(' ', '-'))}`)?.focus();
@@ -157,8 +162,7 @@ function drawForecast() {
         `curl -X POST ${location.origin}/v1/processes/train-model/execution -H 'Content-Type: application/json' -d '{"inputs": {"station": "${id}", "label": "observed", "lead": ${page.lead}}}'`))]);
   }
   if (forecast === undefined) {
-    const base = dayOf(dayNumber(page.day) - page.lead);
-    return show(place, h('h2', null, 'Forecast'), h('p', null, `No forecast for ${page.day}: there is no observation of ${base} that the model reads.`));
+    return show(place, h('h2', null, 'Forecast'), h('p', null, `No forecast for ${page.day}: there is no observation of ${baseDay()} that the model reads.`));
   }
   const trained = forecast.date >= model.training.first && forecast.date <= model.training.last && model.training.seasons.includes(seasonOf(forecast.date));
   return show(place, inWords(forecast, { now: now(), inTraining: trained, formulas: page.formulas }));
@@ -171,7 +175,7 @@ async function drawSimilarDays() {
   if (chosenModel() === null || forecast === undefined) return show(place, h('h2', null, 'Similar past days'), h('p', { class: 'muted' }, 'They come with a forecast.'));
   const answer = await get(ofStation(id, `/forecasts/${day}/similar-days${query({ ...ofModel(), limit: 10 })}`));
   const observed = new Map(await Promise.all([...answer.similar_days.map((similar) => similar.date), day].map(async (date) => {
-    const base = dayOf(dayNumber(date) - page.lead);
+    const base = baseDay(date);
     const { observations } = await get(ofStation(id, `/observations${query({ from: base, to: base })}`));
     return [date, observations[0]];
   })));
@@ -183,7 +187,7 @@ function drawDays() {
   const model = chosenModel();
   const trained = model !== null && model.training.seasons.includes(page.season.year);
   drawSeason(byId('season'), page.season, { selected: page.day, choose, link, trained });
-  drawObservations(byId('observations'), page.season, { selected: page.day });
+  drawObservations(byId('observations'), page.season, { selected: baseDay(), lead: page.lead });
 }
 
 async function drawCard() {

@@ -61,6 +61,7 @@ export function ago(date, now) {
   if (days === 0) return 'today';
   if (days === 1) return 'yesterday';
   if (days === -1) return 'tomorrow';
+  if (days > 730) return `${Math.round(days / 365.25)} years ago`;
   return days < 0 ? `in ${counted(-days, 'day')}` : `${counted(days, 'day')} ago`;
 }
 
@@ -69,7 +70,9 @@ export const seasonOf = (date) => Number(date.slice(0, 4)) - (date.slice(5, 7) <
 
 export const seasonName = (year) => `${year}/${String((year + 1) % 100).padStart(2, '0')}`;
 
-export const seasonRange = (year) => [`${year}-07-01`, `${year + 1}-06-30`];
+const four = (year) => String(year).padStart(4, '0');
+
+export const seasonRange = (year) => [`${four(year)}-07-01`, `${four(year + 1)}-06-30`];
 
 /** How each variable is named, measured and drawn. */
 export const VARIABLES = {
@@ -101,7 +104,7 @@ export function valueText(name, value) {
   return `${number(value, variable?.digits ?? 1)} ${variable?.unit ?? ''}`.trim();
 }
 
-export const LEADS = { 0: 'Nowcast', 1: 'Tomorrow' };
+export const LEADS = { 0: 'Nowcast', 1: 'One day ahead' };
 
 export const CATEGORIES = { avalanche_day: 'Avalanche day', no_avalanche_day: 'No avalanche day' };
 

@@ -152,11 +152,15 @@ impl TestApp {
 
     /// What the server says to these bytes, for what no client library would send.
     pub async fn raw(&self, request: &str) -> String {
+        let stream = self.begin(request).await;
+        finish(stream, "").await
+    }
+
+    /// A connection on which these bytes have been sent and more may follow.
+    pub async fn begin(&self, request: &str) -> TcpStream {
         let mut stream = TcpStream::connect(self.address).await.expect("a connection");
         stream.write_all(request.as_bytes()).await.expect("the request goes out");
-        let mut answer = Vec::new();
-        stream.read_to_end(&mut answer).await.expect("an answer");
-        String::from_utf8_lossy(&answer).into_owned()
+        stream
     }
 
     /// The rows of every table: what a refused call must not change.
@@ -192,6 +196,14 @@ impl TestApp {
     pub async fn stopped(&mut self) {
         self.running.take().expect("it runs").await.expect("no panic in the server");
     }
+}
+
+/// Sends the rest of a request, and reads until the server closes the connection.
+pub async fn finish(mut stream: TcpStream, rest: &str) -> String {
+    stream.write_all(rest.as_bytes()).await.expect("the rest goes out");
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).await.expect("an answer");
+    String::from_utf8_lossy(&answer).into_owned()
 }
 
 impl Drop for TestApp {

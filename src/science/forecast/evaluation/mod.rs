@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 pub mod folds;
 mod forecasters;
 mod per_model;
+mod resume;
 mod samples;
 mod share;
 
@@ -29,6 +30,7 @@ use crate::progress::Progress;
 use folds::{seasons_before_chaining, seasons_of_each_class};
 pub(crate) use forecasters::Part;
 pub use per_model::PerModel;
+use resume::Done;
 pub(crate) use samples::{Samples, before, is_recorded, variables_read};
 pub(crate) use share::{Share, Shares};
 
@@ -163,6 +165,7 @@ pub(crate) struct Plan {
 }
 
 /// A season that was forecast.
+#[derive(Clone, Serialize, Deserialize)]
 struct Judged {
     season: usize,
     outcomes: PerModel<Vec<Outcome>>,
@@ -202,7 +205,8 @@ impl Plan {
     }
 }
 
-/// Runs every split of `plan`; split `i` reports to part `i` of `shares`.
+/// Runs every split of `plan`; split `i` reports to part `i` of `shares`. What is done is saved as it is done, and an
+/// attempt that goes on from there has the same bits.
 pub(crate) fn evaluate(
     samples: &Samples,
     plan: &Plan,
@@ -210,14 +214,21 @@ pub(crate) fn evaluate(
     shares: &Shares<'_>,
 ) -> Result<Evaluation, TrainingError> {
     let splits: Vec<&Split> = plan.splits().collect();
+    let done = Done::resume(samples, options, splits.len(), shares.whole());
     let judged: Vec<Result<Judged, TrainingError>> = splits
         .into_par_iter()
         .enumerate()
         .with_max_len(1)
         .map(|(i, split)| {
             let manner = if i < plan.held_out.len() { "held out" } else { "forecast from the seasons before" };
-            let name = format!("season {} {manner}", samples.seasons[split.season]);
-            judge(samples, split, options, &shares.part(i, name))
+            let share = shares.part(i, format!("season {} {manner}", samples.seasons[split.season]));
+            if let Some(judged) = done.get(i) {
+                share.report(1.0, "done before");
+                return Ok(judged);
+            }
+            let judged = judge(samples, split, options, &share)?;
+            done.set(i, &judged, &share);
+            Ok(judged)
         })
         .collect();
     let mut held_out = judged.into_iter().collect::<Result<Vec<_>, _>>()?;

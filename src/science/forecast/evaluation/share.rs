@@ -18,6 +18,11 @@ impl<'a> Shares<'a> {
         Self { whole, weight, done }
     }
 
+    /// The progress of all parts together.
+    pub(crate) fn whole(&self) -> &dyn Progress {
+        self.whole
+    }
+
     /// The progress of part `index`.
     pub(crate) fn part(&self, index: usize, name: String) -> Share<'_> {
         Share { shares: self, index, name }
@@ -48,5 +53,9 @@ impl Progress for Share<'_> {
 
     fn cancelled(&self) -> bool {
         self.shares.whole.cancelled()
+    }
+
+    fn checkpoint(&self, state: &dyn Fn() -> Vec<u8>) {
+        self.shares.whole.checkpoint(state);
     }
 }
