@@ -156,7 +156,8 @@ fn wanted_range(headers: &HeaderMap, tag: &str, size: u64) -> Result<Option<Rang
 /// A digest in hex as the base64 that `Repr-Digest` (RFC 9530) wants.
 fn base64_of_hex(hex: &str) -> String {
     use base64::Engine as _;
-    let bytes: Vec<u8> = (0..hex.len() / 2).filter_map(|at| u8::from_str_radix(hex.get(2 * at..2 * at + 2)?, 16).ok()).collect();
+    let bytes: Vec<u8> =
+        (0..hex.len() / 2).filter_map(|at| u8::from_str_radix(hex.get(2 * at..2 * at + 2)?, 16).ok()).collect();
     base64::engine::general_purpose::STANDARD.encode(bytes)
 }
 

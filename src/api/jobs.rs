@@ -49,7 +49,10 @@ pub struct JobPath {
 pub struct JobsQuery {
     /// Only jobs in these states, with commas: accepted, running, successful, failed, dismissed.
     #[serde(default)]
-    #[param(example = "accepted,running", pattern = "^(accepted|running|successful|failed|dismissed)(,(accepted|running|successful|failed|dismissed))*$")]
+    #[param(
+        example = "accepted,running",
+        pattern = "^(accepted|running|successful|failed|dismissed)(,(accepted|running|successful|failed|dismissed))*$"
+    )]
     status: Option<String>,
     /// Only jobs of this process.
     #[serde(default, rename = "processID")]

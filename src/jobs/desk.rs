@@ -193,11 +193,7 @@ impl Desk {
         result
     }
 
-    async fn accept(
-        &self,
-        submission: Submission,
-        render: impl FnOnce(&Job) -> Answer,
-    ) -> Result<Submitted, Problem> {
+    async fn accept(&self, submission: Submission, render: impl FnOnce(&Job) -> Answer) -> Result<Submitted, Problem> {
         let store = &self.0.store;
         let process = submission.process;
         let accepted = process.accept(store, &submission.inputs).await?;
@@ -296,7 +292,8 @@ impl Desk {
 
     async fn assign(&self, id: Uuid, worker: &str) -> Result<Assignment, LinkError> {
         let link = |error: StoreError| LinkError(error.to_string());
-        let claim = self.0.store.claim_job(id, worker, clock::now(), self.lease()).await.map_err(link)?;
+        let survives = self.0.engine.workers_survive();
+        let claim = self.0.store.claim_job(id, worker, clock::now(), self.lease(), survives).await.map_err(link)?;
         self.changed(id);
         let (job, checkpoint) = match claim {
             Claim::Busy => return Ok(Assignment::Busy),
@@ -376,7 +373,11 @@ impl Desk {
                 }
             };
         }
-        if self.0.store.is_attempt_current(id, attempt).await.map_err(|error| LinkError(error.to_string()))? == Beat::Stop {
+        let large_outputs = !output.artifacts.is_empty();
+        if large_outputs
+            && self.0.store.is_attempt_current(id, attempt).await.map_err(|error| LinkError(error.to_string()))?
+                == Beat::Stop
+        {
             // before its outputs are stored, which nobody would remove
             return self.fenced(StoreError::Fenced);
         }
@@ -432,7 +433,9 @@ impl Desk {
         let (outcome, kept) = match keep.map(|keep| Process::kept(id, keep, now)).transpose() {
             Ok(kept) => (outcome, kept),
             // to deliver it again would not mend it
-            Err(error) => (Outcome::Failed(Exception { code: Code::JobFailed.slug().into(), detail: error.to_string() }), None),
+            Err(error) => {
+                (Outcome::Failed(Exception { code: Code::JobFailed.slug().into(), detail: error.to_string() }), None)
+            }
         };
         let ended = self.0.store.finish_job(id, attempt, outcome, kept.as_ref(), compute_ms, now).await?;
         self.over(id);

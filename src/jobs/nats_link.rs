@@ -34,17 +34,37 @@ const PATIENCE: Duration = Duration::from_secs(20);
 
 #[derive(Serialize, Deserialize)]
 enum Ask {
-    Claim { job: Uuid, worker: String },
-    Beat { job: Uuid, attempt: u32, report: Report },
-    Log { job: Uuid, attempt: u32, lines: Vec<LogLine> },
+    Claim {
+        job: Uuid,
+        worker: String,
+    },
+    Beat {
+        job: Uuid,
+        attempt: u32,
+        report: Report,
+    },
+    Log {
+        job: Uuid,
+        attempt: u32,
+        lines: Vec<LogLine>,
+    },
     Checkpoint {
         job: Uuid,
         attempt: u32,
         #[serde(with = "serde_bytes")]
         bytes: Vec<u8>,
     },
-    Release { job: Uuid, attempt: u32, compute_ms: u64 },
-    Finish { job: Uuid, attempt: u32, delivery: Delivery, compute_ms: u64 },
+    Release {
+        job: Uuid,
+        attempt: u32,
+        compute_ms: u64,
+    },
+    Finish {
+        job: Uuid,
+        attempt: u32,
+        delivery: Delivery,
+        compute_ms: u64,
+    },
 }
 
 #[derive(Serialize, Deserialize)]

@@ -30,7 +30,8 @@ async fn submit(server: &Serving, keys: &BTreeSet<usize>) -> tokio::task::JoinSe
     let mut answers = tokio::task::JoinSet::new();
     for &key in keys {
         let inputs = json!({"inputs": {"message": key.to_string(), "delay_s": 0.25}});
-        let request = server.call(Method::POST, "/v1/processes/echo/execution").header("idempotency-key", &key.to_string());
+        let request =
+            server.call(Method::POST, "/v1/processes/echo/execution").header("idempotency-key", &key.to_string());
         let request = request.json(&inputs).0;
         answers.spawn(async move {
             let answer = request.send().await.ok()?;

@@ -94,7 +94,8 @@ async fn every_accepted_job_ends_once(rig: Rig) {
 async fn urgent_jobs_come_first_and_equals_in_their_order(rig: Rig) {
     let mut expected = Vec::new();
     for (number, priority) in [5, 0, 9, 5, 9, 5, 1].into_iter().enumerate() {
-        expected.push((std::cmp::Reverse(priority), rig.submit(json!({"message": number.to_string()}), priority).await));
+        expected
+            .push((std::cmp::Reverse(priority), rig.submit(json!({"message": number.to_string()}), priority).await));
     }
     let worker = rig.worker("one", 1);
     for (_, id) in &expected {

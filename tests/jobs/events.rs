@@ -38,11 +38,15 @@ async fn a_stream_tells_a_job_from_its_beginning_to_its_end() {
     let answer = app.get(&at).await;
     assert_eq!(answer.header("content-type"), "text/event-stream");
     let live = events(&answer.text());
-    let status: Vec<&Value> = live.iter().filter(|event| event.kind == "status").map(|event| &event.data["status"]).collect();
+    let status: Vec<&Value> =
+        live.iter().filter(|event| event.kind == "status").map(|event| &event.data["status"]).collect();
     assert_eq!(status, ["accepted", "running", "successful"]);
     assert!(live.iter().map(|event| event.id).is_sorted_by(|a, b| a < b), "{live:?}");
-    let percents: Vec<u64> =
-        live.iter().filter(|event| event.kind == "progress").map(|event| event.data["percent"].as_u64().unwrap()).collect();
+    let percents: Vec<u64> = live
+        .iter()
+        .filter(|event| event.kind == "progress")
+        .map(|event| event.data["percent"].as_u64().unwrap())
+        .collect();
     assert!(percents.len() >= 2 && percents.is_sorted(), "{live:?}");
 
     // who lost the connection after the second event goes on with the third

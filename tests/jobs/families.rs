@@ -17,7 +17,8 @@ async fn children(app: &TestApp, parent: &str) -> Vec<Value> {
 #[tokio::test]
 async fn a_parent_gives_what_its_parts_gave_in_their_order() {
     let app = TestApp::start().await;
-    let request = json!({"inputs": {"message": "a", "parts": 5, "delay_s": 0.05}, "labels": {"sweep": "one"}, "priority": 7});
+    let request =
+        json!({"inputs": {"message": "a", "parts": 5, "delay_s": 0.05}, "labels": {"sweep": "one"}, "priority": 7});
     let parent = app.post("/v1/processes/echo/execution").json(&request).await.json(201);
     let parent = ended(&app, id(&parent)).await;
     assert_eq!(parent["status"], "successful", "{parent}");

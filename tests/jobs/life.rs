@@ -33,7 +33,10 @@ async fn a_job_tells_what_it_was_made_of() {
     let failed = echo(&app, json!({"message": "a", "fail": true})).await;
     ended(&app, &failed).await;
     let log = app.read(&format!("/v1/jobs/{failed}/log")).await;
-    assert_eq!((&log["lines"][1]["level"], &log["lines"][1]["message"]), (&json!("error"), &json!("it was asked to fail")));
+    assert_eq!(
+        (&log["lines"][1]["level"], &log["lines"][1]["message"]),
+        (&json!("error"), &json!("it was asked to fail"))
+    );
 }
 
 #[tokio::test]

@@ -89,7 +89,11 @@ async fn a_worker_frozen_past_its_lease_is_fenced() {
     let events = app.get(&format!("/v1/jobs/{job}/events")).await.text();
     assert_eq!(events.matches(r#""status":"successful""#).count(), 1, "{events}");
     // and it works on
-    let next: Vec<String> = [echo(&app, json!({"message": "x", "delay_s": 2})).await, echo(&app, json!({"message": "y", "delay_s": 2})).await].into();
+    let next: Vec<String> = [
+        echo(&app, json!({"message": "x", "delay_s": 2})).await,
+        echo(&app, json!({"message": "y", "delay_s": 2})).await,
+    ]
+    .into();
     let mut hands = Vec::new();
     for job in next {
         crate::lost_workers::ended(&app, &job).await;

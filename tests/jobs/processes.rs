@@ -77,7 +77,8 @@ fn free_port() -> u16 {
 }
 
 fn spawn_nats(port: u16, store: &TempDir) -> std::io::Result<Child> {
-    let program = if std::path::Path::new("/usr/sbin/nats-server").exists() { "/usr/sbin/nats-server" } else { "nats-server" };
+    let program =
+        if std::path::Path::new("/usr/sbin/nats-server").exists() { "/usr/sbin/nats-server" } else { "nats-server" };
     Command::new(program)
         .args(["-js", "-a", "127.0.0.1", "-p", &port.to_string(), "-sd"])
         .arg(store.path())

@@ -57,10 +57,9 @@ async fn store() -> (Store, TempDir) {
 async fn done(store: &Store, end: Timestamp, size: u64, sha256: &str, parent: Option<Uuid>) -> Uuid {
     let job = job(end, parent);
     store.insert_job(&job, None).await.unwrap();
-    let claim = store.claim_job(job.id, "w", end, SignedDuration::from_secs(30)).await.unwrap();
+    let claim = store.claim_job(job.id, "w", end, SignedDuration::from_secs(30), true).await.unwrap();
     assert!(matches!(claim, Claim::Taken { .. }));
-    let output =
-        OutputRecord { name: "x".into(), media_type: "text/plain".into(), size, sha256: sha256.into() };
+    let output = OutputRecord { name: "x".into(), media_type: "text/plain".into(), size, sha256: sha256.into() };
     let outcome = Outcome::Successful { results: json!({}), outputs: vec![output] };
     store.finish_job(job.id, 1, outcome, None, 0, end).await.unwrap();
     job.id
@@ -127,7 +126,7 @@ async fn a_log_is_bounded() {
     let (store, _data) = store().await;
     let job = job(at(0), None);
     store.insert_job(&job, None).await.unwrap();
-    store.claim_job(job.id, "w", at(0), SignedDuration::from_secs(30)).await.unwrap();
+    store.claim_job(job.id, "w", at(0), SignedDuration::from_secs(30), true).await.unwrap();
     let lines: Vec<(String, String)> = (0..700).map(|number| ("info".into(), number.to_string())).collect();
     store.append_job_log(job.id, 1, &lines, at(0)).await.unwrap();
     store.append_job_log(job.id, 1, &lines, at(0)).await.unwrap();

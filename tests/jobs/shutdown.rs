@@ -63,7 +63,8 @@ async fn a_signal_saves_what_runs_and_the_next_start_goes_on() {
     assert!(both_s < 7.5, "both attempts took {both_s} s for a job of 6 s");
     until(&again, &waiting, |job| job["status"] == "successful").await;
     let log = again.read(&format!("/v1/jobs/{running}/log")).await;
-    let said: Vec<&str> = log["lines"].as_array().unwrap().iter().map(|line| line["message"].as_str().unwrap()).collect();
+    let said: Vec<&str> =
+        log["lines"].as_array().unwrap().iter().map(|line| line["message"].as_str().unwrap()).collect();
     assert_eq!(
         said,
         [

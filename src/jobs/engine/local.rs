@@ -46,12 +46,7 @@ impl Local {
     /// An engine whose workers may be silent for another time.
     #[must_use]
     pub fn with_lease(lease: Duration) -> Self {
-        Self(Arc::new(Inner {
-            waiting: Mutex::default(),
-            arrived: Notify::new(),
-            leased: AtomicU64::new(0),
-            lease,
-        }))
+        Self(Arc::new(Inner { waiting: Mutex::default(), arrived: Notify::new(), leased: AtomicU64::new(0), lease }))
     }
 
     fn waiting(&self) -> MutexGuard<'_, Waiting> {
@@ -100,6 +95,10 @@ impl Engine for Local {
 
     fn lease(&self) -> Duration {
         self.0.lease
+    }
+
+    fn workers_survive(&self) -> bool {
+        false
     }
 
     fn held(&self) -> Boxed<'_, Result<u64, EngineError>> {

@@ -40,6 +40,9 @@ pub trait Engine: Send + Sync {
     /// How long a worker may be silent before its job is given to another.
     fn lease(&self) -> Duration;
 
+    /// Whether workers may live on when this process or its machine does not.
+    fn workers_survive(&self) -> bool;
+
     /// How many tickets it holds, waiting or with a worker: fewer than there are jobs means that some were lost.
     fn held(&self) -> Boxed<'_, Result<u64, EngineError>>;
 

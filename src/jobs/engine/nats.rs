@@ -141,9 +141,8 @@ impl Nats {
 
     async fn issue(&self, ticket: &Ticket) -> Result<PublishAckFuture, EngineError> {
         let body = serde_json::to_vec(ticket).map_err(failed)?;
-        let publish = PublishMessage::build()
-            .payload(body.into())
-            .message_id(format!("{}.{}", ticket.job, ticket.attempt));
+        let publish =
+            PublishMessage::build().payload(body.into()).message_id(format!("{}.{}", ticket.job, ticket.attempt));
         self.context.send_publish(format!("{SUBJECT}.{}", ticket.priority), publish).await.map_err(failed)
     }
 
@@ -205,6 +204,10 @@ impl Engine for Nats {
 
     fn lease(&self) -> Duration {
         self.lease
+    }
+
+    fn workers_survive(&self) -> bool {
+        true
     }
 
     fn held(&self) -> Boxed<'_, Result<u64, EngineError>> {

@@ -101,14 +101,17 @@ pub(super) fn payload(inputs: &Value, children: Vec<ChildEnd>) -> Result<Vec<u8>
         .into_iter()
         .map(|child| match (child.results, child.exception) {
             (Some(results), _) => (true, results),
-            (None, exception) => (false, json!(exception.map_or_else(|| "it was dismissed".to_owned(), |exception| exception.detail))),
+            (None, exception) => {
+                (false, json!(exception.map_or_else(|| "it was dismissed".to_owned(), |exception| exception.detail)))
+            }
         })
         .collect();
     serde_json::to_vec(&Payload { inputs, children }).map_err(Problem::internal)
 }
 
 pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output, Failure> {
-    let Payload { inputs, children } = serde_json::from_slice(payload).map_err(|error| Failure::Science(error.to_string()))?;
+    let Payload { inputs, children } =
+        serde_json::from_slice(payload).map_err(|error| Failure::Science(error.to_string()))?;
     if inputs.parts > 0 && children.is_empty() {
         let part = json!({"message": inputs.message, "delay_s": inputs.delay_s, "fail": inputs.fail});
         let split = vec![Part { process_id: ID.into(), inputs: part }; inputs.parts as usize];

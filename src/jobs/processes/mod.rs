@@ -104,7 +104,9 @@ impl Process {
     pub async fn payload(self, store: &Store, job: &Job) -> Result<Vec<u8>, Problem> {
         match self {
             Self::Echo => {
-                let children = store.ended_children(job.id).await.map_err(Problem::internal)?;
+                let is_parent = job.inputs["parts"].as_u64() > Some(0);
+                let children =
+                    if is_parent { store.ended_children(job.id).await.map_err(Problem::internal)? } else { Vec::new() };
                 echo::payload(&job.inputs, children)
             }
             Self::TrainModel => train_model::payload(store, job).await,
@@ -146,7 +148,8 @@ impl Description {
     /// The inputs as OGC wants them: one description an input, each with its schema.
     #[must_use]
     pub fn input_descriptions(&self) -> Value {
-        let required: Vec<&str> = self.inputs["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+        let required: Vec<&str> =
+            self.inputs["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
         let mut inputs = Map::new();
         for (name, schema) in self.inputs["properties"].as_object().into_iter().flatten() {
             let about = schema.get("description").cloned().unwrap_or_else(|| json!(name));

@@ -68,12 +68,20 @@ const MOST_LOST_ATTEMPTS: i64 = 5;
 
 impl Store {
     /// Takes a job for `worker` until `lease` from now. A running job can be taken only once its lease has ended; a job
-    /// that lost its worker too often in a row is failed instead.
+    /// that lost its worker too often in a row is failed instead. `survives`: the worker outlives this machine, so that
+    /// its attempt must never be given to another one, not even after a power cut.
     ///
     /// # Errors
     /// [`StoreError::Sql`] where it cannot be stored.
-    pub async fn claim_job(&self, id: Uuid, worker: &str, now: Timestamp, lease: SignedDuration) -> Result<Claim> {
-        let mut tx = self.begin().await?;
+    pub async fn claim_job(
+        &self,
+        id: Uuid,
+        worker: &str,
+        now: Timestamp,
+        lease: SignedDuration,
+        survives: bool,
+    ) -> Result<Claim> {
+        let mut tx = if survives { self.begin().await? } else { self.begin_lightly().await? };
         let row = sqlx::query("SELECT status, lease_until_ms, lost, waits_for_children FROM job WHERE id = ?")
             .bind(id.to_string())
             .fetch_optional(&mut *tx)
@@ -138,7 +146,7 @@ impl Store {
         now: Timestamp,
         lease: SignedDuration,
     ) -> Result<Beat> {
-        let mut tx = self.begin().await?;
+        let mut tx = self.begin_lightly().await?;
         let done = sqlx::query(
             "UPDATE job SET lease_until_ms = ?3, progress = max(progress, ?4), phase = ?5, rate = ?6, rate_unit = ?7,
                  eta_seconds = ?8, updated = ?9
@@ -189,12 +197,12 @@ impl Store {
             "INSERT OR REPLACE INTO job_checkpoint (job, attempt, made, bytes, progress)
              VALUES (?1, ?2, ?3, ?4, (SELECT progress FROM job WHERE id = ?1))",
         )
-            .bind(id.to_string())
-            .bind(attempt)
-            .bind(now.to_string())
-            .bind(bytes)
-            .execute(&mut *tx)
-            .await?;
+        .bind(id.to_string())
+        .bind(attempt)
+        .bind(now.to_string())
+        .bind(bytes)
+        .execute(&mut *tx)
+        .await?;
         sqlx::query("UPDATE job SET lost = 0 WHERE id = ?").bind(id.to_string()).execute(&mut *tx).await?;
         tx.commit().await?;
         Ok(())
@@ -240,11 +248,13 @@ impl Store {
     ) -> Result<Ended> {
         let mut tx = self.begin().await?;
         fence(&mut tx, id, attempt).await?;
-        sqlx::query("UPDATE job SET compute_ms = compute_ms + ?2 WHERE id = ?1")
-            .bind(id.to_string())
-            .bind(i64::try_from(compute_ms).unwrap_or(i64::MAX))
-            .execute(&mut *tx)
-            .await?;
+        if !matches!(outcome, Outcome::Successful { .. }) {
+            sqlx::query("UPDATE job SET compute_ms = compute_ms + ?2 WHERE id = ?1")
+                .bind(id.to_string())
+                .bind(i64::try_from(compute_ms).unwrap_or(i64::MAX))
+                .execute(&mut *tx)
+                .await?;
+        }
         let ended = match outcome {
             Outcome::Split(jobs) => children::split(&mut tx, (id, attempt), &jobs, now).await?,
             Outcome::Failed(exception) => {
@@ -260,7 +270,7 @@ impl Store {
                     }
                 }
                 outputs::insert(&mut tx, id, &outputs).await?;
-                succeed(&mut tx, id, &results, now).await?
+                succeed(&mut tx, id, &results, compute_ms, now).await?
             }
         };
         tx.commit().await?;
@@ -287,24 +297,27 @@ fn after(now: Timestamp, lease: SignedDuration) -> i64 {
 }
 
 pub(super) async fn fence(tx: &mut Transaction<'_, Sqlite>, id: Uuid, attempt: u32) -> Result<()> {
-    let holds: Option<i64> =
-        sqlx::query_scalar("SELECT 1 FROM job WHERE id = ? AND attempt = ? AND status = 'running' AND waits_for_children = 0")
-            .bind(id.to_string())
-            .bind(attempt)
-            .fetch_optional(&mut **tx)
-            .await?;
+    let holds: Option<i64> = sqlx::query_scalar(
+        "SELECT 1 FROM job WHERE id = ? AND attempt = ? AND status = 'running' AND waits_for_children = 0",
+    )
+    .bind(id.to_string())
+    .bind(attempt)
+    .fetch_optional(&mut **tx)
+    .await?;
     holds.map(|_| ()).ok_or(StoreError::Fenced)
 }
 
+/// Ends an attempt that [`fence`] has found to be running.
 async fn succeed(
     tx: &mut Transaction<'_, Sqlite>,
     id: Uuid,
     results: &serde_json::Value,
+    compute_ms: u64,
     now: Timestamp,
 ) -> Result<Ended> {
-    let status = step(tx, id, Event::Succeed).await?;
+    let status = Status::Running.after(Event::Succeed)?;
     sqlx::query(
-        "UPDATE job SET status = ?2, progress = 100, results = ?3, message = NULL, exception = NULL, phase = NULL,
+        "UPDATE job SET status = ?2, compute_ms = compute_ms + ?5, progress = 100, results = ?3, message = NULL, exception = NULL, phase = NULL,
              eta_seconds = NULL, finished = ?4, updated = ?4
          WHERE id = ?1",
     )
@@ -312,6 +325,7 @@ async fn succeed(
     .bind(status.name())
     .bind(to_json(results)?)
     .bind(now.to_string())
+    .bind(i64::try_from(compute_ms).unwrap_or(i64::MAX))
     .execute(&mut **tx)
     .await?;
     after_the_end(tx, id, status, now).await

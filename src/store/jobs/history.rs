@@ -49,7 +49,12 @@ pub struct Retention {
 }
 
 /// Writes down an event.
-pub(super) async fn note(tx: &mut Transaction<'_, Sqlite>, job: Uuid, kind: &str, body: &serde_json::Value) -> Result<()> {
+pub(super) async fn note(
+    tx: &mut Transaction<'_, Sqlite>,
+    job: Uuid,
+    kind: &str,
+    body: &serde_json::Value,
+) -> Result<()> {
     sqlx::query("INSERT INTO job_event (job, kind, body) VALUES (?, ?, ?)")
         .bind(job.to_string())
         .bind(kind)
@@ -90,7 +95,10 @@ pub(super) async fn note_progress(
     attempt: u32,
     body: &serde_json::Value,
 ) -> Result<()> {
-    sqlx::query("DELETE FROM job_event WHERE job = ? AND kind = 'progress'").bind(job.to_string()).execute(&mut **tx).await?;
+    sqlx::query("DELETE FROM job_event WHERE job = ? AND kind = 'progress'")
+        .bind(job.to_string())
+        .execute(&mut **tx)
+        .await?;
     let mut body = body.clone();
     if let Some(object) = body.as_object_mut() {
         object.insert("attempt".into(), attempt.into());
@@ -104,11 +112,12 @@ impl Store {
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
     pub async fn job_events(&self, job: Uuid, after: i64) -> Result<Vec<EventRecord>> {
-        let rows = sqlx::query("SELECT sequence, kind, body FROM job_event WHERE job = ? AND sequence > ? ORDER BY sequence")
-            .bind(job.to_string())
-            .bind(after)
-            .fetch_all(&self.reader)
-            .await?;
+        let rows =
+            sqlx::query("SELECT sequence, kind, body FROM job_event WHERE job = ? AND sequence > ? ORDER BY sequence")
+                .bind(job.to_string())
+                .bind(after)
+                .fetch_all(&self.reader)
+                .await?;
         rows.iter()
             .map(|row| {
                 Ok(EventRecord {
@@ -124,7 +133,13 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Fenced`] where the attempt counts no more.
-    pub async fn append_job_log(&self, job: Uuid, attempt: u32, lines: &[(String, String)], now: Timestamp) -> Result<()> {
+    pub async fn append_job_log(
+        &self,
+        job: Uuid,
+        attempt: u32,
+        lines: &[(String, String)],
+        now: Timestamp,
+    ) -> Result<()> {
         let mut tx = self.begin().await?;
         fence(&mut tx, job, attempt).await?;
         for (level, message) in lines {

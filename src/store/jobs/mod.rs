@@ -47,8 +47,10 @@ pub struct JobFilter {
 
 /// Moves a job on by `event`, or says why that cannot be.
 async fn step(tx: &mut Transaction<'_, Sqlite>, id: Uuid, event: Event) -> Result<Status> {
-    let status: Option<String> =
-        sqlx::query_scalar("SELECT status FROM job WHERE id = ?").bind(id.to_string()).fetch_optional(&mut **tx).await?;
+    let status: Option<String> = sqlx::query_scalar("SELECT status FROM job WHERE id = ?")
+        .bind(id.to_string())
+        .fetch_optional(&mut **tx)
+        .await?;
     let status = status.ok_or(StoreError::Missing)?;
     let status = Status::from_name(&status).ok_or_else(|| StoreError::corrupt(status))?;
     Ok(status.after(event)?)
@@ -149,7 +151,10 @@ impl Store {
             query.push(" AND parent = ").push_bind(parent.to_string());
         }
         if let Some(from) = filter.created_from {
-            query.push(" AND unixepoch(created, 'subsec') >= unixepoch(").push_bind(from.to_string()).push(", 'subsec')");
+            query
+                .push(" AND unixepoch(created, 'subsec') >= unixepoch(")
+                .push_bind(from.to_string())
+                .push(", 'subsec')");
         }
         if let Some(to) = filter.created_to {
             query.push(" AND unixepoch(created, 'subsec') <= unixepoch(").push_bind(to.to_string()).push(", 'subsec')");
@@ -164,7 +169,9 @@ impl Store {
         for (limit, comparison) in [(filter.min_duration_s, " >= "), (filter.max_duration_s, " <= ")] {
             if let Some(seconds) = limit {
                 // to the millisecond that is stored: the difference of two doubles is not exact
-                query.push(" AND started IS NOT NULL AND round(unixepoch(coalesce(finished, ").push_bind(now.to_string());
+                query
+                    .push(" AND started IS NOT NULL AND round(unixepoch(coalesce(finished, ")
+                    .push_bind(now.to_string());
                 query.push("), 'subsec') - unixepoch(started, 'subsec'), 3)").push(comparison).push_bind(seconds);
             }
         }

@@ -1,0 +1,155 @@
+//! How many jobs that do nothing the embedded engine gets done in a second, and how soon a status poll is answered while
+//! every core computes. See `README.md` beside this file.
+#![expect(clippy::print_stdout, reason = "a bench reports on the terminal")]
+
+use std::{
+    error::Error,
+    time::{Duration, Instant},
+};
+
+use firn::{
+    config::{Config, Settings},
+    domain::job::{Job, Labels, Priority},
+    jobs::{Submission, Submitted, processes::Process},
+    server::Server,
+    store::jobs::Answer,
+};
+use serde_json::{Value, json};
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
+
+type Outcome<T> = Result<T, Box<dyn Error + Send + Sync>>;
+
+/// Jobs that wait before the clock runs.
+const JOBS: usize = 1000;
+
+/// Callers that poll at once, and how often each of them does.
+const CALLERS: usize = 200;
+const POLLS: usize = 25;
+
+#[tokio::main]
+async fn main() -> Outcome<()> {
+    let cores = std::thread::available_parallelism()?;
+    println!("{cores} cores; data on {}", std::env::temp_dir().display());
+    for round in 1..=3 {
+        queue(round).await?;
+    }
+    polls().await
+}
+
+fn config(folder: &tempfile::TempDir, slots: usize) -> Outcome<Config> {
+    let settings = Settings { data_dir: Some(folder.path().into()), ..Settings::default() };
+    let mut config = settings.over(Settings::default());
+    config.listen = "127.0.0.1:0".parse()?;
+    config.job_slots = slots;
+    Ok(config)
+}
+
+fn echo(message: usize) -> Submission {
+    Submission {
+        process: Process::Echo,
+        inputs: json!({"message": message.to_string()}),
+        labels: Labels::new(),
+        priority: Priority::default(),
+        submitted_by: None,
+        anew: false,
+        reservation: None,
+    }
+}
+
+/// Accepts the jobs behind one that holds the only worker back, then lets it go.
+async fn queue(round: usize) -> Outcome<()> {
+    let folder = tempfile::tempdir()?;
+    let server = Server::bind(config(&folder, 4)?).await?;
+    let state = server.state().clone();
+    let mut held = Vec::new();
+    for _ in 0..4 {
+        let mut long = echo(0);
+        long.inputs = json!({"message": "held", "delay_s": 600});
+        let render = |job: &Job| Answer { location: String::new(), body: json!(job.id) };
+        if let Submitted::New(answer) = state.desk.submit(long, render).await.map_err(|problem| problem.to_string())? {
+            held.push(serde_json::from_value(answer.body)?);
+        }
+    }
+    let since = Instant::now();
+    for number in 0..JOBS {
+        let render = |job: &Job| Answer { location: String::new(), body: json!(job.id) };
+        state.desk.submit(echo(number), render).await.map_err(|problem| problem.to_string())?;
+    }
+    let accepted = since.elapsed();
+    let since = Instant::now();
+    for id in held {
+        state.desk.dismiss(id).await?;
+    }
+    while state.store.waiting_jobs().await? > 0 || state.store.jobs_with_tickets().await? > 0 {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    let done = since.elapsed();
+    let rate = |time: Duration| JOBS as f64 / time.as_secs_f64();
+    println!(
+        "round {round}: {JOBS} jobs accepted one after another at {:.0} a second, done at {:.0} a second (target: 500)",
+        rate(accepted),
+        rate(done)
+    );
+    state.store.close().await;
+    Ok(())
+}
+
+/// Polls the status of a training while it keeps every core busy.
+async fn polls() -> Outcome<()> {
+    let folder = tempfile::tempdir()?;
+    let server = Server::bind(config(&folder, 2)?).await?;
+    let base = format!("http://{}", server.address()?);
+    let stop = CancellationToken::new();
+    let running = tokio::spawn(server.run(stop.clone()));
+    let client = reqwest::Client::builder().no_proxy().pool_max_idle_per_host(CALLERS).build()?;
+    client.put(format!("{base}/v1/stations/synthetic")).json(&json!({"name": "SYNTHETIC"})).send().await?;
+    let days = firn::science::forecast::synthetic::synthetic_station(1, 1993, 14);
+    let rows = days.iter().map(|day| {
+        let record = firn::domain::observation::AvalancheRecord::of(day.activity);
+        firn::domain::observation::Observation::from_values(&day.values, Some(&record)).map(|seen| seen.on(day.date))
+    });
+    let csv = firn::formats::observations_csv::write(rows.collect::<Result<Vec<_>, _>>()?);
+    let import = client.post(format!("{base}/v1/stations/synthetic/observations")).header("content-type", "text/csv");
+    import.body(csv).send().await?.error_for_status()?;
+    let execution = client.post(format!("{base}/v1/processes/train-model/execution"));
+    let inputs = json!({"inputs": {"station": "synthetic", "label": "observed", "lead": 0}});
+    let job: Value = execution.json(&inputs).send().await?.error_for_status()?.json().await?;
+    let address = format!("{base}/v1/jobs/{}", job["jobID"].as_str().unwrap_or_default());
+    tokio::time::sleep(Duration::from_secs(1)).await;
+
+    let mut callers = JoinSet::new();
+    for caller in 0..CALLERS {
+        let (client, address) = (client.clone(), address.clone());
+        callers.spawn(async move {
+            let mut times = Vec::new();
+            // spread over half a second, as callers that do not know of each other are
+            tokio::time::sleep(Duration::from_millis(caller as u64 * 500 / CALLERS as u64)).await;
+            for _ in 0..POLLS {
+                let since = Instant::now();
+                client.get(&address).send().await?.error_for_status()?.bytes().await?;
+                times.push(since.elapsed());
+                tokio::time::sleep(Duration::from_millis(500)).await;
+            }
+            Outcome::Ok(times)
+        });
+    }
+    let mut times = Vec::new();
+    while let Some(done) = callers.join_next().await {
+        times.extend(done??);
+    }
+    times.sort();
+    let status: Value = client.get(&address).send().await?.json().await?;
+    let ms = |share: usize| times[(times.len() - 1) * share / 100].as_secs_f64() * 1e3;
+    println!(
+        "{CALLERS} callers, a status poll each half second, while a training is {}: median {:.2} ms (target: 2), 95 % {:.2} ms, 99 % {:.2} ms",
+        status["status"],
+        ms(50),
+        ms(95),
+        ms(99)
+    );
+    client.delete(&address).send().await?;
+    stop.cancel();
+    running.await??;
+    Ok(())
+}
