@@ -45,7 +45,9 @@ pub async fn start(state: &AppState, address: SocketAddr) -> Result<(), ServerEr
     match state.store.put_station(&id, &body, true, clock::now(), permits).await {
         Ok(_) => {}
         Err(StoreError::Precondition) => {
-            return Err(format!("the station `{STATION}` is one of yours: the demo wants another data directory").into());
+            return Err(
+                format!("the station `{STATION}` is one of yours: the demo wants another data directory").into()
+            );
         }
         Err(error) => return Err(error.into()),
     }

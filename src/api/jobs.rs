@@ -48,7 +48,10 @@ pub struct JobPath {
 pub struct JobsQuery {
     /// Only jobs in these states, with commas: accepted, running, successful, failed, dismissed.
     #[serde(default)]
-    #[param(example = "accepted,running", pattern = "^(accepted|running|successful|failed|dismissed)(,(accepted|running|successful|failed|dismissed))*$")]
+    #[param(
+        example = "accepted,running",
+        pattern = "^(accepted|running|successful|failed|dismissed)(,(accepted|running|successful|failed|dismissed))*$"
+    )]
     status: Option<String>,
     /// Only jobs of this process.
     #[serde(default, rename = "processID")]
@@ -293,7 +296,8 @@ pub async fn get_results(
         }
         Status::Dismissed => Err(Problem::new(Code::JobDismissed, format!("job {} was dismissed", job.id)).into()),
         Status::Failed => {
-            let exception = job.exception.unwrap_or(Exception { code: String::new(), detail: "no reason is known".into() });
+            let exception =
+                job.exception.unwrap_or(Exception { code: String::new(), detail: "no reason is known".into() });
             let code = Code::from_slug(&exception.code).unwrap_or(Code::JobFailed);
             Err(Problem::new(code, exception.detail).into())
         }

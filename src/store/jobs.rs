@@ -69,8 +69,10 @@ pub enum Outcome {
 
 /// Moves a job on by `event`, or says why that cannot be.
 async fn step(tx: &mut Transaction<'_, Sqlite>, id: Uuid, event: Event) -> Result<Status> {
-    let status: Option<String> =
-        sqlx::query_scalar("SELECT status FROM job WHERE id = ?").bind(id.to_string()).fetch_optional(&mut **tx).await?;
+    let status: Option<String> = sqlx::query_scalar("SELECT status FROM job WHERE id = ?")
+        .bind(id.to_string())
+        .fetch_optional(&mut **tx)
+        .await?;
     let status = status.ok_or(StoreError::Missing)?;
     let status = Status::from_name(&status).ok_or_else(|| StoreError::corrupt(status))?;
     Ok(status.after(event)?)
@@ -134,7 +136,10 @@ impl Store {
             query.push(" AND id < ").push_bind(before.to_string());
         }
         if let Some(from) = filter.created_from {
-            query.push(" AND unixepoch(created, 'subsec') >= unixepoch(").push_bind(from.to_string()).push(", 'subsec')");
+            query
+                .push(" AND unixepoch(created, 'subsec') >= unixepoch(")
+                .push_bind(from.to_string())
+                .push(", 'subsec')");
         }
         if let Some(to) = filter.created_to {
             query.push(" AND unixepoch(created, 'subsec') <= unixepoch(").push_bind(to.to_string()).push(", 'subsec')");
@@ -145,7 +150,9 @@ impl Store {
         for (limit, comparison) in [(filter.min_duration_s, " >= "), (filter.max_duration_s, " <= ")] {
             if let Some(seconds) = limit {
                 // to the millisecond that is stored: the difference of two doubles is not exact
-                query.push(" AND started IS NOT NULL AND round(unixepoch(coalesce(finished, ").push_bind(now.to_string());
+                query
+                    .push(" AND started IS NOT NULL AND round(unixepoch(coalesce(finished, ")
+                    .push_bind(now.to_string());
                 query.push("), 'subsec') - unixepoch(started, 'subsec'), 3)").push(comparison).push_bind(seconds);
             }
         }
@@ -234,11 +241,10 @@ impl Store {
     /// [`StoreError::Missing`] where there is no ended job of that id.
     pub async fn remove_job(&self, id: Uuid) -> Result<()> {
         let mut tx = self.begin().await?;
-        let done =
-            sqlx::query("DELETE FROM job WHERE id = ? AND status IN ('successful', 'failed', 'dismissed')")
-                .bind(id.to_string())
-                .execute(&mut *tx)
-                .await?;
+        let done = sqlx::query("DELETE FROM job WHERE id = ? AND status IN ('successful', 'failed', 'dismissed')")
+            .bind(id.to_string())
+            .execute(&mut *tx)
+            .await?;
         tx.commit().await?;
         if done.rows_affected() == 0 { Err(StoreError::Missing) } else { Ok(()) }
     }
@@ -249,8 +255,9 @@ impl Store {
     /// [`StoreError::Sql`] where it cannot be stored.
     pub async fn fail_interrupted_jobs(&self, exception: &Exception, now: Timestamp) -> Result<usize> {
         let mut tx = self.begin().await?;
-        let ids: Vec<String> =
-            sqlx::query_scalar("SELECT id FROM job WHERE status IN ('accepted', 'running')").fetch_all(&mut *tx).await?;
+        let ids: Vec<String> = sqlx::query_scalar("SELECT id FROM job WHERE status IN ('accepted', 'running')")
+            .fetch_all(&mut *tx)
+            .await?;
         for id in &ids {
             let id = id.parse().map_err(StoreError::corrupt)?;
             finish(&mut tx, id, &Outcome::Failed(exception.clone()), now).await?;

@@ -177,7 +177,9 @@ fn refuse_foreign(path: &Path) -> Result<()> {
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::UnexpectedEof) => Ok(()),
         Err(error) => Err(at(path)(error)),
         // sqlite.org/fileformat.html: the application id is the big-endian number at offset 68
-        Ok(()) if header.starts_with(b"SQLite format 3\0") && (header[68..72] == OURS || header[68..72] == [0; 4]) => Ok(()),
+        Ok(()) if header.starts_with(b"SQLite format 3\0") && (header[68..72] == OURS || header[68..72] == [0; 4]) => {
+            Ok(())
+        }
         Ok(()) => Err(StoreError::Foreign(path.to_owned())),
     }
 }

@@ -94,7 +94,8 @@ impl Description {
     /// The inputs as OGC wants them: one description an input, each with its schema.
     #[must_use]
     pub fn input_descriptions(&self) -> Value {
-        let required: Vec<&str> = self.inputs["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+        let required: Vec<&str> =
+            self.inputs["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
         let mut inputs = Map::new();
         for (name, schema) in self.inputs["properties"].as_object().into_iter().flatten() {
             let about = schema.get("description").cloned().unwrap_or_else(|| json!(name));

@@ -157,7 +157,8 @@ fn read(inputs: &Value) -> Result<Inputs, Problem> {
 
 async fn prepare(store: &Store, inputs: &Inputs) -> Result<Prepared, Problem> {
     let station = store.station(&inputs.station).await.map_err(Problem::internal)?.ok_or_else(|| {
-        let detail = format!("there is no station {}; create it with PUT /v1/stations/{}", inputs.station, inputs.station);
+        let detail =
+            format!("there is no station {}; create it with PUT /v1/stations/{}", inputs.station, inputs.station);
         invalid_inputs(vec![FieldError::new("/inputs/station", "unknown_station", detail)])
     })?;
     let (from, to) = (inputs.from.unwrap_or(ALWAYS.0), inputs.to.unwrap_or(ALWAYS.1));
