@@ -81,7 +81,9 @@ impl std::str::FromStr for EngineAddress {
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         match text {
             "local" => Ok(Self::Local),
-            address if address.starts_with("nats://") || address.starts_with("tls://") => Ok(Self::Nats(address.into())),
+            address if address.starts_with("nats://") || address.starts_with("tls://") => {
+                Ok(Self::Nats(address.into()))
+            }
             _ => Err("must be `local` or the address of a NATS server: nats://HOST:PORT or tls://HOST:PORT"),
         }
     }

@@ -47,7 +47,9 @@ pub async fn start(state: &AppState, address: SocketAddr) -> Result<(), ServerEr
     match state.store.put_station(&id, &body, true, clock::now(), permits).await {
         Ok(_) => {}
         Err(StoreError::Precondition) => {
-            return Err(format!("the station `{STATION}` is one of yours: the demo wants another data directory").into());
+            return Err(
+                format!("the station `{STATION}` is one of yours: the demo wants another data directory").into()
+            );
         }
         Err(error) => return Err(error.into()),
     }
@@ -68,7 +70,9 @@ pub async fn start(state: &AppState, address: SocketAddr) -> Result<(), ServerEr
         };
         let render = |job: &Job| Answer { location: format!("/v1/jobs/{}", job.id), body: json!(null) };
         match state.desk.submit(submission, render).await {
-            Ok(Submitted::New(answer)) => tracing::info!("the demo trains its model: http://{address}{}", answer.location),
+            Ok(Submitted::New(answer)) => {
+                tracing::info!("the demo trains its model: http://{address}{}", answer.location)
+            }
             Ok(_) => {}
             Err(problem) => tracing::error!(%problem, "the demo's model cannot be trained"),
         }

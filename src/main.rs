@@ -173,9 +173,8 @@ async fn run_key(command: Key) -> Result<(), ServerError> {
                 store.close().await;
                 return Ok(());
             }
-            let expires = expires_in_days
-                .map(|days| now.checked_add(jiff::SignedDuration::from_hours(24 * days)))
-                .transpose()?;
+            let expires =
+                expires_in_days.map(|days| now.checked_add(jiff::SignedDuration::from_hours(24 * days))).transpose()?;
             let key = store.create_key(&name, role, expires, now).await?;
             print(&format!("{key}\nKeep it: it is stored as a hash and cannot be shown again."));
             store.close().await;
@@ -185,7 +184,13 @@ async fn run_key(command: Key) -> Result<(), ServerError> {
             for key in store.keys().await? {
                 let state = if key.is_valid(clock::now()) { "valid" } else { "not valid" };
                 let used = key.last_used.map_or_else(|| "never used".to_owned(), |at| format!("last used {at}"));
-                print(&format!("{}  {:10}  {state}  made {}  {used}  {}", key.id, key.role.name(), key.created, key.name));
+                print(&format!(
+                    "{}  {:10}  {state}  made {}  {used}  {}",
+                    key.id,
+                    key.role.name(),
+                    key.created,
+                    key.name
+                ));
             }
             store.close().await;
         }

@@ -4,7 +4,7 @@ use std::net::IpAddr;
 
 use axum::{
     extract::{FromRequestParts, Request, State},
-    http::{HeaderValue, Method, header, uri::Authority, request::Parts},
+    http::{HeaderValue, Method, header, request::Parts, uri::Authority},
     middleware::Next,
     response::Response,
 };
@@ -41,7 +41,11 @@ pub fn keys_needed(config: &Config) -> bool {
 }
 
 /// Lets a request pass with its [`Caller`], or refuses it with 401 or 403.
-pub async fn authenticate(State(state): State<AppState>, mut request: Request, next: Next) -> Result<Response, ApiError> {
+pub async fn authenticate(
+    State(state): State<AppState>,
+    mut request: Request,
+    next: Next,
+) -> Result<Response, ApiError> {
     let path = request.uri().path().to_owned();
     if is_public(&path) {
         return Ok(next.run(request).await);

@@ -33,7 +33,13 @@ pub struct ProblemKind {
 
 impl From<Code> for ProblemKind {
     fn from(code: Code) -> Self {
-        Self { code: code.slug(), r#type: code.type_uri(), status: code.status(), title: code.title(), help: code.help() }
+        Self {
+            code: code.slug(),
+            r#type: code.type_uri(),
+            status: code.status(),
+            title: code.title(),
+            help: code.help(),
+        }
     }
 }
 

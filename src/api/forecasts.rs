@@ -325,7 +325,11 @@ pub async fn list_forecasts(
     let history = speaker.history(&state, first, last).await?;
     let model = Arc::clone(&speaker.model);
     let forecasts: Vec<Forecast> = tokio::task::spawn_blocking(move || {
-        first.series(1.day()).take_while(|date| *date <= last).filter_map(|date| model.forecast(&history, date).ok()).collect()
+        first
+            .series(1.day())
+            .take_while(|date| *date <= last)
+            .filter_map(|date| model.forecast(&history, date).ok())
+            .collect()
     })
     .await
     .map_err(Problem::internal)?;
@@ -334,7 +338,8 @@ pub async fn list_forecasts(
 }
 
 /// The past days that are nearest to a forecast in the eyes of its machine: their date, what happened, the kernel value,
-/// and the signed contribution alpha y k to the decision value.
+/// and the signed contribution alpha y k to the decision value. A day of the training may be in its own list, with kernel
+/// value 1: with it the contributions of all days add up to the decision value and the offset of the machine.
 #[utoipa::path(get, path = "/v1/stations/{station}/forecasts/{date}/similar-days", operation_id = "list_similar_days",
     tag = "forecasts", params(DayPath, SimilarQuery), responses((status = 200, description = "The days.", body = SimilarDays)))]
 pub async fn list_similar_days(
@@ -346,9 +351,8 @@ pub async fn list_similar_days(
     let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
     let history = speaker.history(&state, path.date.0, path.date.0).await?;
     let count = Limit::or_default(query.limit) as usize;
-    let similar_days = match speaker.model.similar_days(&history, path.date.0, count + 1) {
-        // a day that was in the training is most like itself, which tells nobody anything
-        Ok(days) => days.into_iter().filter(|day| day.date != path.date.0).take(count).collect(),
+    let similar_days = match speaker.model.similar_days(&history, path.date.0, count) {
+        Ok(days) => days,
         Err(error) => return Err(speaker.refuse(&state, error).await?.into()),
     };
     let answer = SimilarDays {

@@ -232,7 +232,9 @@ fn from_json(bytes: &[u8]) -> Result<Rows, Problem> {
         Ok(JsonDays::TooMany) => return Err(too_many_rows()),
         Err(error) if error.is_data() => {
             let fault = FieldError::new("", "wrong_type", "must be a day or an array of days");
-            return Err(Problem::new(Code::InvalidBody, "the body must be a day or an array of days").with_errors(vec![fault]));
+            return Err(
+                Problem::new(Code::InvalidBody, "the body must be a day or an array of days").with_errors(vec![fault])
+            );
         }
         Err(error) => return Err(Problem::new(Code::InvalidJson, format!("not JSON: {error}"))),
     };
@@ -329,13 +331,12 @@ fn from_file(format: &'static str, import: Result<Import, FormatError>) -> Resul
 
 fn file_row(row: ImportedRow) -> Row {
     let outcome = match (row.outcome, row.date) {
-        (Ok(day), Some(date)) => {
-            Ok((DayWrite { date, values: Some(day.values), avalanche: day.avalanche }, day.flags))
-        }
+        (Ok(day), Some(date)) => Ok((DayWrite { date, values: Some(day.values), avalanche: day.avalanche }, day.flags)),
         (Ok(_), None) => Err(vec![FieldError::new(format!("/{}/date", row.line), "unreadable_date", "has no date")]),
         (Err(error), _) => {
             let field = error.field.as_deref().map_or_else(String::new, |field| format!("/{field}"));
-            let place = error.column.map_or_else(String::new, |column| format!(" (line {}, column {column})", error.line));
+            let place =
+                error.column.map_or_else(String::new, |column| format!(" (line {}, column {column})", error.line));
             let code = serde_json::to_value(error.code).ok();
             let code = code.as_ref().and_then(Value::as_str).unwrap_or("refused").to_owned();
             Err(vec![FieldError::new(format!("/{}{field}", row.line), code, format!("{}{place}", error.detail))])
@@ -378,7 +379,8 @@ fn refuse(rows: Rows, refused: usize) -> Problem {
         return Problem::new(Code::InvalidBody, first).with_errors(faults);
     }
     let code = if rows.format == "json" { Code::InvalidBody } else { Code::ImportRefused };
-    let detail = format!("{refused} of {} rows were refused and nothing was stored; the first: {first}", rows.rows.len());
+    let detail =
+        format!("{refused} of {} rows were refused and nothing was stored; the first: {first}", rows.rows.len());
     let report = serde_json::to_value(report(rows, &[]).report).unwrap_or_default();
     let problem = Problem::new(code, detail).with_errors(faults).with("report", report);
     if omitted > 0 { problem.with("errors_omitted", omitted.into()) } else { problem }

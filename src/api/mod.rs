@@ -25,7 +25,12 @@ use std::sync::Arc;
 
 pub use router::{document, router};
 
-use crate::{config::Config, domain::problem::{Code, Problem}, jobs::Desk, store::Store};
+use crate::{
+    config::Config,
+    domain::problem::{Code, Problem},
+    jobs::Desk,
+    store::Store,
+};
 
 /// What every handler may use.
 #[derive(Clone)]
@@ -42,7 +47,10 @@ pub struct AppState {
 
 impl AppState {
     /// The station of that name, or the problem that it is not there.
-    async fn station(&self, id: &crate::domain::ids::StationId) -> Result<crate::domain::station::Station, problem::ApiError> {
+    async fn station(
+        &self,
+        id: &crate::domain::ids::StationId,
+    ) -> Result<crate::domain::station::Station, problem::ApiError> {
         let station = self.store.station(id).await?;
         station.ok_or_else(|| {
             let detail = format!("there is no station {id}; create it with PUT /v1/stations/{id}");

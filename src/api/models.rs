@@ -314,13 +314,15 @@ pub async fn put_active_model(
     let model = state.store.model(body.model_id).await?;
     let fits = model.is_some_and(|model| model.station == station.id && model.lead == lead);
     if !fits {
-        let detail = format!("must be a model of station {} and lead {lead}; GET /v1/models?station={} lists them", station.id, station.id);
+        let detail = format!(
+            "must be a model of station {} and lead {lead}; GET /v1/models?station={} lists them",
+            station.id, station.id
+        );
         return Err(Problem::field(Code::ModelMismatch, "/model_id", "model_mismatch", detail).into());
     }
     let permits = |before: Option<&Activation>| conditions.permit_write(before.map(tag).as_deref());
     let by = caller.name.as_deref();
-    let activation =
-        state.store.activate_model(&station.id, lead, body.model_id, by, clock::now(), permits).await?;
+    let activation = state.store.activate_model(&station.id, lead, body.model_id, by, clock::now(), permits).await?;
     let tag = tag(&activation);
     respond::tagged(&Conditions::default(), StatusCode::OK, &tag, &active(station, lead, activation))
 }

@@ -81,9 +81,8 @@ impl PartialSchema for ObservationResource {
             return <DatedObservation as PartialSchema>::schema();
         };
         let string = |about: &str| ObjectBuilder::new().schema_type(Type::String).description(Some(about));
-        let count = |about: &str| {
-            ObjectBuilder::new().schema_type(Type::Integer).minimum(Some(0)).description(Some(about))
-        };
+        let count =
+            |about: &str| ObjectBuilder::new().schema_type(Type::Integer).minimum(Some(0)).description(Some(about));
         let added: [(&str, ObjectBuilder); 5] = [
             ("station", string("Name of the station.")),
             (
@@ -209,7 +208,8 @@ pub async fn list_observations(
         respond::resource(&conditions, &ObservationList { observations, next })?
     };
     if let Some(next) = next {
-        let url = format!("/v1/stations/{}/observations?from={from}&to={to}&limit={limit}&cursor={}", station.id, next.0);
+        let url =
+            format!("/v1/stations/{}/observations?from={from}&to={to}&limit={limit}&cursor={}", station.id, next.0);
         respond::link_next(&mut response, &url);
     }
     Ok(response)
@@ -252,11 +252,7 @@ pub async fn put_observation(
         return Err(Problem::new(Code::InvalidBody, first.detail.clone()).with_errors(faults).into());
     }
     let station = state.station(&path.station).await?;
-    let write = DayWrite {
-        date: path.date.0,
-        values: Some(observation.values()),
-        avalanche: observation.avalanche(),
-    };
+    let write = DayWrite { date: path.date.0, values: Some(observation.values()), avalanche: observation.avalanche() };
     let author = Author { name: caller.name, at: clock::now(), source: "put" };
     let permits = |before: Option<&StoredDay>| conditions.permit_write(before.map(tag).as_deref());
     let (day, written) = state.store.put_day(&station.id, &write, &author, permits).await?;

@@ -262,7 +262,8 @@ fn wants_anew(headers: &HeaderMap) -> bool {
 fn check_labels(labels: &Labels) -> Result<(), Problem> {
     let good = |name: &str, value: &str| (1..=64).contains(&name.chars().count()) && value.chars().count() <= 256;
     let rule = "must be at most 20 labels, names of 1 to 64 characters without : and , and values of at most 256";
-    let bad = labels.iter().find(|(name, value)| !good(name, value) || name.contains([':', ',']) || value.contains(','));
+    let bad =
+        labels.iter().find(|(name, value)| !good(name, value) || name.contains([':', ',']) || value.contains(','));
     match bad {
         Some((name, _)) => {
             let pointer = format!("/labels/{}", schema::escape(name));
@@ -280,7 +281,8 @@ fn reservation(
     body: &[u8],
 ) -> Result<Option<Reservation>, Problem> {
     let Some(key) = headers.get("idempotency-key") else { return Ok(None) };
-    let key = key.to_str().ok().filter(|key| (1..=255).contains(&key.len()) && key.bytes().all(|b| b.is_ascii_graphic()));
+    let key =
+        key.to_str().ok().filter(|key| (1..=255).contains(&key.len()) && key.bytes().all(|b| b.is_ascii_graphic()));
     let key = key.ok_or_else(|| {
         Problem::new(Code::InvalidHeader, "Idempotency-Key must be 1 to 255 visible ASCII characters without spaces")
     })?;

@@ -20,12 +20,7 @@ pub fn resource<T: Serialize>(conditions: &Conditions, value: &T) -> ApiResult<R
 }
 
 /// The same with the entity tag that writes are checked against.
-pub fn tagged<T: Serialize>(
-    conditions: &Conditions,
-    status: StatusCode,
-    tag: &str,
-    value: &T,
-) -> ApiResult<Response> {
+pub fn tagged<T: Serialize>(conditions: &Conditions, status: StatusCode, tag: &str, value: &T) -> ApiResult<Response> {
     let body = serde_json::to_vec(value).map_err(Problem::internal)?;
     let tag = HeaderValue::from_str(tag).map_err(Problem::internal)?;
     Ok(tagged_bytes(conditions, status, tag, "application/json", body))

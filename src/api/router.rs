@@ -22,9 +22,9 @@ use utoipa::OpenApi;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    AppState, auth, avalanches, docs, extract::BodyLimit, feature_sets, forecasts, health, imports, job_history,
-    job_results, jobs, landing, models, observations,
-    openapi,
+    AppState, auth, avalanches, docs,
+    extract::BodyLimit,
+    feature_sets, forecasts, health, imports, job_history, job_results, jobs, landing, models, observations, openapi,
     problem::{ApiError, REQUEST_ID, from_panic},
     processes, stations,
 };
@@ -179,6 +179,7 @@ async fn not_found(request: Request) -> ApiError {
 }
 
 async fn method_not_allowed(request: Request) -> ApiError {
-    let detail = format!("{} does not take {}; the Allow header lists what it takes", request.uri().path(), request.method());
+    let detail =
+        format!("{} does not take {}; the Allow header lists what it takes", request.uri().path(), request.method());
     ApiError(Problem::new(Code::MethodNotAllowed, detail))
 }

@@ -238,7 +238,9 @@ mod tests {
         let body = json!({"date": "2007-02-14", "air_temperature": 300, "wind_speed": "strong", "snow": 1,
                           "avalanche_activity": "maybe"});
         let found = faults::<DatedObservation>(&body);
-        let of = |pointer: &str| found.iter().find(|fault| fault.0 == pointer).cloned().unwrap_or_else(|| panic!("{found:?}"));
+        let of = |pointer: &str| {
+            found.iter().find(|fault| fault.0 == pointer).cloned().unwrap_or_else(|| panic!("{found:?}"))
+        };
         assert_eq!(of("/air_temperature").1, "out_of_range");
         assert!(of("/air_temperature").2.contains("from -60 to 40"), "{found:?}");
         assert_eq!(of("/wind_speed").1, "wrong_type");
@@ -264,6 +266,8 @@ mod tests {
 
     #[test]
     fn a_good_body_has_no_faults() {
-        assert!(faults::<StationBody>(&json!({"name": "x", "variables": ["air_temperature"], "latitude": null})).is_empty());
+        assert!(
+            faults::<StationBody>(&json!({"name": "x", "variables": ["air_temperature"], "latitude": null})).is_empty()
+        );
     }
 }

@@ -264,7 +264,9 @@ impl FormatError {
     pub const fn place(&self) -> Option<(u64, Option<u64>)> {
         match self {
             Self::Empty | Self::UnknownZone { .. } => None,
-            Self::MissingColumn { line, .. } | Self::TooManyRows { line } | Self::TooManyColumns { line, .. } => Some((*line, None)),
+            Self::MissingColumn { line, .. } | Self::TooManyRows { line } | Self::TooManyColumns { line, .. } => {
+                Some((*line, None))
+            }
             Self::NotText { line, column, .. }
             | Self::UnknownColumn { line, column, .. }
             | Self::DuplicateColumn { line, column, .. }

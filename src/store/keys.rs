@@ -141,7 +141,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
     pub async fn keys(&self) -> Result<Vec<ApiKey>> {
-        let rows = sqlx::query_as::<_, KeyRow>("SELECT * FROM api_key ORDER BY created, id").fetch_all(&self.reader).await?;
+        let rows =
+            sqlx::query_as::<_, KeyRow>("SELECT * FROM api_key ORDER BY created, id").fetch_all(&self.reader).await?;
         Ok(rows.into_iter().map(|row| row.key).collect())
     }
 

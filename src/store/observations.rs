@@ -4,7 +4,10 @@ use std::{collections::HashMap, fmt::Write as _, sync::LazyLock};
 
 use firn_science::forecast::day::{Activity, DayRecord, VARIABLES, Variable};
 use jiff::{Timestamp, civil::Date};
-use sqlx::{AssertSqlSafe, FromRow, Row, Sqlite, SqliteConnection, Transaction, query::Query, sqlite::SqliteArguments, sqlite::SqliteRow};
+use sqlx::{
+    AssertSqlSafe, FromRow, Row, Sqlite, SqliteConnection, Transaction, query::Query, sqlite::SqliteArguments,
+    sqlite::SqliteRow,
+};
 
 use super::{Result, Store, StoreError, from_json, parse_date, parse_timestamp, stations::Written, to_json};
 use crate::domain::{
@@ -241,10 +244,7 @@ fn any_of(variables: &[Variable]) -> String {
     if names.is_empty() { "0".into() } else { format!("({})", names.join(" OR ")) }
 }
 
-fn bind_values<'q>(
-    query: Query<'q, Sqlite, SqliteArguments>,
-    values: &Values,
-) -> Query<'q, Sqlite, SqliteArguments> {
+fn bind_values<'q>(query: Query<'q, Sqlite, SqliteArguments>, values: &Values) -> Query<'q, Sqlite, SqliteArguments> {
     values.iter().fold(query, |query, value| query.bind(*value))
 }
 
@@ -422,7 +422,8 @@ impl Store {
         variables: &[Variable],
         until: Date,
     ) -> Result<Option<Date>> {
-        let sql = format!("SELECT max(date) FROM observation WHERE station = ? AND date <= ? AND {}", any_of(variables));
+        let sql =
+            format!("SELECT max(date) FROM observation WHERE station = ? AND date <= ? AND {}", any_of(variables));
         let date: Option<String> = sqlx::query_scalar(AssertSqlSafe(sql))
             .bind(station.as_str())
             .bind(until.to_string())

@@ -68,7 +68,7 @@ async fn a_revoked_or_expired_key_is_no_key() {
     let (app, _) = in_the_open().await;
     let store = app.state.store.clone();
     let now = firn::clock::now();
-    let expired = key_in(store.clone(), Role::Admin, Some(now - SignedDuration::from_secs(1))).await;
+    let expired = key_in(store.clone(), Role::Operator, Some(now - SignedDuration::from_secs(1))).await;
     app.get("/v1/stations").key(&expired).await.problem("unauthorized");
     let later = key_in(store.clone(), Role::Admin, Some(now + SignedDuration::from_hours(1))).await;
     assert_eq!(app.get("/v1/stations").key(&later).await.status, 200);

@@ -28,6 +28,7 @@ async fn a_later_report_keeps_the_weather() {
       "type": "wet",
       "trigger": "natural",
       "size": 2.5,
+      "synthetic": false,
       "revision": 1,
       "updated": "[instant]"
     }

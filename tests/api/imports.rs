@@ -282,7 +282,8 @@ async fn a_body_over_the_limit_is_refused() {
     let refused = send(&app, "application/json", body.clone()).await.problem("payload-too-large");
     assert!(refused["detail"].as_str().unwrap().contains("2000 bytes"), "{refused}");
     // without a length in advance the limit holds just the same
-    let head = format!("POST {DAYS} HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\nconnection: close\r\n");
+    let head =
+        format!("POST {DAYS} HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\nconnection: close\r\n");
     let chunked = format!("{head}transfer-encoding: chunked\r\n\r\n{:x}\r\n{body}\r\n0\r\n\r\n", body.len());
     let answer = app.raw(&chunked).await;
     assert!(answer.starts_with("HTTP/1.1 413 ") && answer.contains("application/problem+json"), "{answer}");
@@ -379,4 +380,39 @@ async fn a_bad_row_of_an_export_refuses_all_of_it() {
     assert_eq!(app.rows().await, before);
     let glencoe = app.post(&format!("{DAYS}?format=sais&partial=true&area=Glencoe")).body("text/csv", export).await;
     assert_eq!(glencoe.json(200)["accepted"], 1);
+}
+
+#[tokio::test]
+async fn an_import_takes_nothing_away_that_is_known() {
+    let app = lochaber().await;
+    let day = "/v1/stations/lochaber/observations/2007-02-14";
+    app.put(day, &json!({"air_temperature": -3.5, "avalanche_activity": "observed", "avalanche_count": 2}))
+        .await
+        .json(201);
+    let before = app.read(day).await;
+
+    // a table of avalanches alone says nothing of the weather, and unknown is no news
+    let same = send(&app, "text/csv", "date,avalanche_activity,avalanche_count\n2007-02-14,observed,2\n").await;
+    assert_eq!(same.json(200)["unchanged"], 1);
+    let unknown =
+        send(&app, "application/json", json!([{"date": "2007-02-14", "avalanche_activity": "unknown"}]).to_string());
+    assert_eq!(unknown.await.json(200)["unchanged"], 1);
+    assert_eq!(app.read(day).await, before);
+
+    // what it does say, it says
+    let more = send(&app, "text/csv", "date,avalanche_activity\n2007-02-14,presumed\n").await;
+    assert_eq!(more.json(200)["updated"], 1);
+    let after = app.read(day).await;
+    assert_eq!((&after["air_temperature"], &after["avalanche_activity"]), (&json!(-3.5), &json!("presumed")));
+}
+
+#[tokio::test]
+async fn a_table_that_is_no_export_is_refused_whole() {
+    let app = lochaber().await;
+    app.put("/v1/stations/lochaber/observations/2007-02-14", &json!({"cloud_cover": 50})).await.json(201);
+    let before = app.rows().await;
+    let table = "date,season,air_temp_c,wind_dir_deg,snow_temp_c\n2007-02-14,2006,-3,230,-2\n";
+    let refused = app.post(&format!("{DAYS}?format=sais&partial=true")).body("text/csv", table).await;
+    refused.problem("malformed-file");
+    assert_eq!(app.rows().await, before);
 }

@@ -186,7 +186,7 @@ async fn no_refused_call_leaves_a_trace() {
 }
 
 /// A request whose body does not come.
-const HALF: &str = "PUT /v1/stations/a HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\
+const HALF: &str = "PUT /v1/stations/a HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\
                     content-type: application/json\r\ncontent-length: 12\r\n\r\n";
 
 #[tokio::test]

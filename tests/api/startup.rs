@@ -117,7 +117,7 @@ async fn a_fresh_machine_has_something_to_look_at() {
 }
 
 /// A request whose body is still to come.
-const HALF: &str = "PUT /v1/stations/a HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\
+const HALF: &str = "PUT /v1/stations/a HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\
                     content-type: application/json\r\ncontent-length: 12\r\n\r\n";
 const REST: &str = "{\"name\":\"a\"}";
 

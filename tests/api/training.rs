@@ -41,6 +41,7 @@ async fn the_first_model_of_a_station_becomes_active() {
     }, @r#"
     {
       "station": "synthetic",
+      "synthetic": true,
       "lead": 0,
       "model_id": "[id]",
       "activated": "[instant]",
@@ -328,7 +329,8 @@ async fn trained_on(threads: usize) -> (Value, Value, Value, String) {
     let mut results = app.read(&format!("/v1/jobs/{}/results", id(&job))).await;
     let model = results["model_id"].as_str().unwrap().to_owned();
     results["model_id"] = Value::Null;
-    let evaluation = app.read(&format!("/v1/models/{model}/evaluation")).await;
+    let mut evaluation = app.read(&format!("/v1/models/{model}/evaluation")).await;
+    evaluation["model_id"] = Value::Null;
     let mut forecasts = app.read("/v1/stations/synthetic/forecasts?from=2012-12-15&to=2013-04-20").await;
     for forecast in forecasts["forecasts"].as_array_mut().unwrap() {
         forecast["model_id"] = Value::Null;

@@ -49,12 +49,11 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Path<T> {
     type Rejection = ApiError;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Self::Rejection> {
-        let raw = RawPathParams::from_request_parts(parts, state).await.map_err(|error| {
-            Problem::field(Code::InvalidParameter, "/path", "invalid_parameter", error.to_string())
-        })?;
+        let raw = RawPathParams::from_request_parts(parts, state)
+            .await
+            .map_err(|error| Problem::field(Code::InvalidParameter, "/path", "invalid_parameter", error.to_string()))?;
         // one pair a part, each percent-decoded: the same reader as for the query serves both
-        let encoded =
-            form_urlencoded::Serializer::new(String::new()).extend_pairs(raw.iter()).finish();
+        let encoded = form_urlencoded::Serializer::new(String::new()).extend_pairs(raw.iter()).finish();
         parse_query(&encoded).map(Self).map_err(ApiError)
     }
 }

@@ -125,12 +125,13 @@ impl Columns {
                 columns.unknown.push(name);
             }
         }
-        // every export has both; a table of another origin that has a date alone would replace good days with empty ones
-        for (column, name) in [(C::Date, "Date"), (C::Area, "Area")] {
-            if columns.position(column).is_none() {
-                let expected = "the names of the export: Date, Area, Air Temp, Wind Dir, Wind Speed ...".to_owned();
-                return Err(FormatError::MissingColumn { line, column: name, expected });
-            }
+        // a table of another origin has a date too, and would replace good days with empty ones
+        let known = columns.at.iter().flatten().count();
+        let foreign = columns.unknown.len() > known && !columns.has(C::Area);
+        let missing = if columns.has(C::Date) { foreign.then_some("Area") } else { Some("Date") };
+        if let Some(column) = missing {
+            let expected = "the names of the export: Date, Area, Air Temp, Wind Dir, Wind Speed ...".to_owned();
+            return Err(FormatError::MissingColumn { line, column, expected });
         }
         columns.fewest -= usize::from(columns.position(C::Comments) == Some(columns.fewest - 1));
         Ok(columns)
@@ -229,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_header_without_date_and_area_or_with_a_column_twice_is_refused() {
+    fn a_header_of_another_table_or_with_a_column_twice_is_refused() {
         let other = columns("date,season,air_temp_c,snow_temp_c").unwrap_err();
         assert!(matches!(other, FormatError::MissingColumn { line: 1, column: "Area", .. }), "{other}");
         assert!(matches!(columns("Area,Cloud"), Err(FormatError::MissingColumn { line: 1, column: "Date", .. })));

@@ -3,7 +3,7 @@
 //! It resembles a maritime mountain of moderate height and is nobody's record: whatever shows it calls it synthetic.
 //! The numbers below were chosen for plausibility, not fitted to a place.
 //!
-//! **Weather.** Four regimes follow each other as a Markov chain by the day ([`REGIMES`]): anticyclone, westerly storms,
+//! **Weather.** Four regimes follow each other as a Markov chain by the day (`REGIMES` below): anticyclone, westerly storms,
 //! northerly showers, warm sector. With z a normal deviate drawn anew each time and T0 the climatological air
 //! temperature, -2.5 - 1.5 cos(2 pi (d - 215)/365) degC on day d since 1 July:
 //! * air temperature T = T0 + A, A(t) = 0.45 A(t-1) + 0.55 (regime warmth) + 1.6 z, degC;
@@ -17,7 +17,7 @@
 //! T - 2.5 degC (1 - cloud), is 0 in rain and never above. The insolation index is the height of the sun alone:
 //! 2 + 9 (1 - cos(2 pi (d - 173)/365)).
 //!
-//! **Avalanches.** The probability of an avalanche is 1/(1 + exp(-x)) with ([`Pack::hazard`])
+//! **Avalanches.** The probability of an avalanche is 1/(1 + exp(-x)) with (`Pack::hazard` below)
 //! x = -4.1 + 0.35 L + 0.45 W + 0.3 H + 1.4 R + 0.02 F + q, where L halves every day and gains the new-snow index, W
 //! halves every day and gains wind speed^3/4000 (m3/s3) on days of drift, H is the warming since yesterday (degC) on
 //! days above -1 degC, R is 1 in rain, and q is a weakness of the snowpack that no variable shows:
