@@ -3,9 +3,9 @@
 use firn::{
     domain::{
         ids::new_id,
-        job::{Exception, Job, Status},
+        job::{Exception, Job, Labels, Priority, Report, Status},
     },
-    store::jobs::Outcome,
+    store::jobs::{Claim, Outcome},
 };
 use insta::assert_json_snapshot;
 use jiff::{SignedDuration, Timestamp};
@@ -56,6 +56,14 @@ async fn a_job_is_accepted_with_its_address() {
       "status": "accepted",
       "progress": 0,
       "phase": null,
+      "rate": null,
+      "rateUnit": null,
+      "etaSeconds": null,
+      "attempt": 0,
+      "priority": 5,
+      "labels": {},
+      "parent": null,
+      "reused": false,
       "message": null,
       "exception": null,
       "created": "[instant]",
@@ -68,6 +76,18 @@ async fn a_job_is_accepted_with_its_address() {
           "rel": "self",
           "type": "application/json",
           "title": "this document"
+        },
+        {
+          "href": "[path]",
+          "rel": "monitor",
+          "type": "application/json",
+          "title": "the status of the job"
+        },
+        {
+          "href": "[path]",
+          "rel": "http://www.opengis.net/def/rel/ogc/1.0/log",
+          "type": "application/json",
+          "title": "the log"
         }
       ]
     }
@@ -166,6 +186,14 @@ async fn an_ended_job_is_dressed_for_its_reader() {
       "status": "successful",
       "progress": 100,
       "phase": null,
+      "rate": null,
+      "rateUnit": null,
+      "etaSeconds": null,
+      "attempt": 1,
+      "priority": 5,
+      "labels": {},
+      "parent": null,
+      "reused": false,
       "message": null,
       "exception": null,
       "created": "[instant]",
@@ -181,9 +209,21 @@ async fn an_ended_job_is_dressed_for_its_reader() {
         },
         {
           "href": "[path]",
+          "rel": "monitor",
+          "type": "application/json",
+          "title": "the status of the job"
+        },
+        {
+          "href": "[path]",
           "rel": "http://www.opengis.net/def/rel/ogc/1.0/results",
           "type": "application/json",
           "title": "the results"
+        },
+        {
+          "href": "[path]",
+          "rel": "http://www.opengis.net/def/rel/ogc/1.0/log",
+          "type": "application/json",
+          "title": "the log"
         }
       ]
     }
@@ -203,25 +243,27 @@ async fn a_week(app: &TestApp) -> Vec<Uuid> {
         let mut ids = Vec::new();
         let monday: Timestamp = "2026-11-16T06:00:00Z".parse().unwrap();
         let outcomes = [
-            Some(Outcome::Successful(json!({}))),
+            Some(Outcome::Successful { results: json!({}), outputs: vec![] }),
             Some(Outcome::Failed(Exception { code: "job-failed".into(), detail: "it broke".into() })),
             None,
-            Some(Outcome::Successful(json!({}))),
+            Some(Outcome::Successful { results: json!({}), outputs: vec![] }),
         ];
         for (day, outcome) in (0..).zip(outcomes) {
             let created = monday + SignedDuration::from_hours(24 * day);
             let job = job(if day == 3 { "echo" } else { "train-model" }, created);
-            store.insert_job(&job).await.unwrap();
-            store.start_job(job.id, created).await.unwrap();
+            store.insert_job(&job, None).await.unwrap();
+            let taken =
+                store.claim_job(job.id, "somebody", created, SignedDuration::from_secs(60), true).await.unwrap();
+            assert!(matches!(taken, Claim::Taken { .. }), "{taken:?}");
             let end = created + SignedDuration::from_secs(10 * (day + 1));
             match outcome {
-                Some(outcome) => store.finish_job(job.id, &outcome, end).await.unwrap(),
-                None => store.dismiss_job(job.id, end).await.unwrap(),
+                Some(outcome) => drop(store.finish_job(job.id, 1, outcome, None, 0, end).await.unwrap()),
+                None => drop(store.dismiss_job(job.id, end).await.unwrap()),
             }
             ids.push(job.id);
         }
         let waiting = job("train-model", monday + SignedDuration::from_hours(24 * 4));
-        store.insert_job(&waiting).await.unwrap();
+        store.insert_job(&waiting, None).await.unwrap();
         ids.push(waiting.id);
         ids
     })
@@ -233,14 +275,20 @@ fn job(process: &str, created: Timestamp) -> Job {
         id: new_id(),
         process_id: process.into(),
         status: Status::Accepted,
-        progress: 0,
-        phase: None,
+        report: Report::default(),
         message: None,
         exception: None,
         inputs: json!({}),
         input_hash: String::new(),
         version: "0".into(),
         submitted_by: None,
+        labels: Labels::new(),
+        priority: Priority::default(),
+        parent: None,
+        position: None,
+        attempt: 0,
+        worker: None,
+        compute_ms: 0,
         created,
         started: None,
         finished: None,

@@ -54,7 +54,8 @@ async fn a_client_of_the_standard_finds_its_way() {
         "dismiss"
       ],
       "outputTransmission": [
-        "value"
+        "value",
+        "reference"
       ],
       "links": [
         {
