@@ -40,7 +40,7 @@ fn is(status: &'static str) -> impl Fn(&Value) -> bool {
 async fn a_job_is_accepted_with_its_address() {
     let app = busy().await;
     let request = json!({"inputs": inputs("long"), "outputs": {}, "response": "document"});
-    let call = app.post("/v1/processes/train-model/execution").json(&request).header("prefer", "wait=1, respond-async");
+    let call = app.post("/v1/processes/train-model/execution").json(&request).header("prefer", "respond-async");
     let answer = call.await;
     assert_eq!(answer.header("preference-applied"), "respond-async");
     let job = answer.json(201);

@@ -264,10 +264,11 @@ impl Store {
             Outcome::Successful { mut results, outputs } => {
                 if let Some(model) = keep {
                     let activated = models::insert(&mut tx, model, now).await?;
-                    if let Some(results) = results.as_object_mut() {
-                        results.insert("model_id".into(), serde_json::json!(model.record.id));
-                        results.insert("activated".into(), serde_json::json!(activated));
+                    let mut document = serde_json::json!({"model_id": model.record.id, "activated": activated});
+                    if let (Some(document), serde_json::Value::Object(rest)) = (document.as_object_mut(), results) {
+                        document.extend(rest);
                     }
+                    results = document;
                 }
                 outputs::insert(&mut tx, id, &outputs).await?;
                 succeed(&mut tx, id, &results, compute_ms, now).await?
