@@ -82,7 +82,7 @@ pub enum Submitted {
     /// A new job.
     New(Answer),
     /// A job that computed the same before.
-    Reused(Job),
+    Reused(Box<Job>),
     /// The answer to the same request before.
     Repeated(Answer),
 }
@@ -201,7 +201,7 @@ impl Desk {
             let version = env!("CARGO_PKG_VERSION");
             let same = store.job_of_input(process.id(), &accepted.hash, version).await.map_err(Problem::internal)?;
             if let Some(job) = same {
-                return Ok(Submitted::Reused(job));
+                return Ok(Submitted::Reused(Box::new(job)));
             }
         }
         if store.waiting_jobs().await.map_err(Problem::internal)? >= self.0.most_waiting {

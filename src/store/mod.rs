@@ -154,27 +154,6 @@ impl Store {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[tokio::test]
-    async fn what_is_written_lightly_changes_nothing_for_what_follows() {
-        const FULL: i64 = 2;
-        const NORMAL: i64 = 1;
-        let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path()).await.unwrap();
-        let mode = async |mut tx: Transaction<'static, Sqlite>| -> i64 {
-            let mode = sqlx::query_scalar("PRAGMA synchronous").fetch_one(&mut *tx).await.unwrap();
-            tx.commit().await.unwrap();
-            mode
-        };
-        assert_eq!(mode(store.begin().await.unwrap()).await, FULL);
-        assert_eq!(mode(store.begin_lightly().await.unwrap()).await, NORMAL);
-        assert_eq!(mode(store.begin().await.unwrap()).await, FULL);
-    }
-}
-
 /// Makes sure that one server alone works on a data directory: two would take up each other's jobs. The lock lasts as
 /// long as the file that is returned; commands such as `firn key` do not need it.
 ///
@@ -251,4 +230,25 @@ fn from_json<T: serde::de::DeserializeOwned>(text: &str) -> Result<T> {
 
 fn to_json<T: serde::Serialize + ?Sized>(value: &T) -> Result<String> {
     serde_json::to_string(value).map_err(StoreError::corrupt)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn what_is_written_lightly_changes_nothing_for_what_follows() {
+        const FULL: i64 = 2;
+        const NORMAL: i64 = 1;
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let mode = async |mut tx: Transaction<'static, Sqlite>| -> i64 {
+            let mode = sqlx::query_scalar("PRAGMA synchronous").fetch_one(&mut *tx).await.unwrap();
+            tx.commit().await.unwrap();
+            mode
+        };
+        assert_eq!(mode(store.begin().await.unwrap()).await, FULL);
+        assert_eq!(mode(store.begin_lightly().await.unwrap()).await, NORMAL);
+        assert_eq!(mode(store.begin().await.unwrap()).await, FULL);
+    }
 }
