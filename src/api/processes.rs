@@ -207,7 +207,7 @@ pub async fn execute_process(
     };
     let (location, body) = match state.desk.submit(submission, answer).await? {
         Submitted::New(answer) | Submitted::Repeated(answer) => (answer.location, answer.body),
-        Submitted::Reused(job) => (location(&job), json!(StatusInfo::reused(job))),
+        Submitted::Reused(job) => (location(&job), json!(StatusInfo::reused(*job))),
     };
     let mut response = (StatusCode::CREATED, axum::Json(&body)).into_response();
     if !wait.0.is_zero()

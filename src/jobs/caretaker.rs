@@ -63,7 +63,7 @@ pub async fn run(desk: Desk, keep: Keep, stop: CancellationToken) {
         if let Err(error) = issue_lost(&desk, before).await {
             tracing::error!(%error, "lost tickets could not be looked for");
         }
-        if round % ROUNDS_TO_RETIRE == 0
+        if round.is_multiple_of(ROUNDS_TO_RETIRE)
             && let Err(error) = retire(&desk, keep).await
         {
             tracing::error!(%error, "old jobs could not be retired");
