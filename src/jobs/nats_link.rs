@@ -18,7 +18,7 @@ use super::{
     engine::Boxed,
     link::{Assignment, Delivery, JobLink, LinkError, LogLine, Verdict},
 };
-use crate::domain::job::Report;
+use crate::domain::{ids::new_id, job::Report};
 
 /// Where the desk listens.
 const DESK: &str = "firn.desk";
@@ -144,7 +144,7 @@ impl NatsLink {
     }
 
     async fn send_in_parts(&self, bytes: &[u8]) -> Result<Envelope, LinkError> {
-        let transfer = Uuid::now_v7();
+        let transfer = new_id();
         let many = bytes.len().div_ceil(CHUNK);
         let mut answer = Envelope::Next;
         for (index, part) in bytes.chunks(CHUNK).enumerate() {
@@ -282,7 +282,7 @@ fn wrap(transfers: &Transfers, bytes: Vec<u8>) -> Envelope {
     if bytes.len() <= CHUNK {
         return Envelope::Whole(bytes);
     }
-    let (transfer, size) = (Uuid::now_v7(), bytes.len() as u64);
+    let (transfer, size) = (new_id(), bytes.len() as u64);
     lock(transfers).insert(transfer, (Instant::now(), bytes));
     Envelope::Large { transfer, size }
 }
@@ -317,7 +317,7 @@ mod tests {
         assert!(got == bytes);
         assert!(lock(&transfers).is_empty());
 
-        let id = Uuid::now_v7();
+        let id = new_id();
         assert_eq!(gather(&transfers, id, &[1, 2], false), None);
         assert_eq!(gather(&transfers, id, &[3], true), Some(vec![1, 2, 3]));
     }

@@ -1,14 +1,17 @@
 //! Worker processes that are killed, frozen and asked to end, beside a server with NATS.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use firn::config::EngineAddress;
+use reqwest::Method;
 use serde_json::{Value, json};
 
 use crate::{
-    processes::{NatsServer, WorkerProcess},
+    processes::{NatsServer, PATIENCE, WorkerProcess},
     support::{
         TestApp,
+        app::data_dir,
+        binary::Serving,
         trained::{id, until},
     },
 };
@@ -81,7 +84,7 @@ async fn a_worker_frozen_past_its_lease_is_fenced() {
     assert_eq!((&ended["status"], &ended["attempt"]), (&json!("successful"), &json!(2)));
     assert_eq!(app.read(&format!("/v1/jobs/{job}/prov")).await["worker"], "heir");
     // the first thing that the zombie said was refused, and it gave up
-    let since = std::time::Instant::now();
+    let since = Instant::now();
     while app.state.desk.fenced_writes() == 0 {
         assert!(since.elapsed() < Duration::from_secs(30), "nothing was refused:\n{}", zombie.log());
         tokio::time::sleep(Duration::from_millis(20)).await;
@@ -96,7 +99,7 @@ async fn a_worker_frozen_past_its_lease_is_fenced() {
     .into();
     let mut hands = Vec::new();
     for job in next {
-        crate::lost_workers::ended(&app, &job).await;
+        self::ended(&app, &job).await;
         hands.push(app.read(&format!("/v1/jobs/{job}/prov")).await["worker"].as_str().unwrap().to_owned());
     }
     hands.sort();
@@ -117,4 +120,35 @@ async fn a_worker_that_is_asked_to_end_gives_its_job_back_at_once() {
     let resumed = until(&app, &job, |job| job["attempt"] == 2).await;
     assert!(resumed["progress"].as_u64() >= Some(30), "{resumed}");
     assert_eq!(ended(&app, &job).await["status"], "successful");
+}
+
+#[tokio::test]
+async fn workers_outlive_a_killed_server_and_deliver_to_the_next() {
+    let Some(nats) = NatsServer::start() else { return };
+    let (data, url) = (data_dir(), nats.url());
+    let arguments = ["--engine", &url, "--lease-s", "10"];
+    let mut server = Serving::start(data.path(), &arguments);
+    let worker = WorkerProcess::start(&url, "afar", 10, 1);
+    let inputs = json!({"inputs": {"message": "a", "delay_s": 3, "attachment_bytes": 2_000_000}});
+    let job = server.call(Method::POST, "/v1/processes/echo/execution").json(&inputs).await.json(201);
+    let at = format!("/v1/jobs/{}", id(&job));
+    while server.read(&at).await["progress"] == 0 {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    server.kill();
+    // the job ends while nobody listens
+    tokio::time::sleep(Duration::from_secs(4)).await;
+    let server = Serving::start(data.path(), &arguments);
+    let mut job = server.read(&at).await;
+    let since = Instant::now();
+    while job["status"] == "running" {
+        assert!(since.elapsed() < PATIENCE, "it is not delivered:\n{}", worker.log());
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        job = server.read(&at).await;
+    }
+    assert_eq!((&job["status"], &job["attempt"]), (&json!("successful"), &json!(1)), "nothing was computed twice");
+    // more than a message of NATS can hold came in parts, and came whole
+    let attachment = server.call(Method::GET, &format!("{at}/results/attachment")).await;
+    assert!(attachment.body.iter().enumerate().all(|(at, byte)| *byte == (at % 251) as u8));
+    assert_eq!(attachment.body.len(), 2_000_000);
 }

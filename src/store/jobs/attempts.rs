@@ -103,7 +103,7 @@ impl Store {
             tx.commit().await?;
             return Ok(Claim::GivenUp(ended));
         }
-        let next = status.after(Event::Claim)?;
+        let next = step(&mut tx, id, Event::Claim).await?;
         let job = sqlx::query_as::<_, JobRow>(
             "UPDATE job SET status = ?2, attempt = attempt + 1, lost = ?3, worker = ?4, lease_until_ms = ?5,
                  progress = coalesce((SELECT progress FROM job_checkpoint WHERE job_checkpoint.job = job.id), 0), phase = NULL, rate = NULL, rate_unit = NULL, eta_seconds = NULL,
@@ -308,7 +308,6 @@ pub(super) async fn fence(tx: &mut Transaction<'_, Sqlite>, id: Uuid, attempt: u
     holds.map(|_| ()).ok_or(StoreError::Fenced)
 }
 
-/// Ends an attempt that [`fence`] has found to be running.
 async fn succeed(
     tx: &mut Transaction<'_, Sqlite>,
     id: Uuid,
@@ -316,7 +315,7 @@ async fn succeed(
     compute_ms: u64,
     now: Timestamp,
 ) -> Result<Ended> {
-    let status = Status::Running.after(Event::Succeed)?;
+    let status = step(tx, id, Event::Succeed).await?;
     sqlx::query(
         "UPDATE job SET status = ?2, compute_ms = compute_ms + ?5, progress = 100, results = ?3, message = NULL, exception = NULL, phase = NULL,
              eta_seconds = NULL, finished = ?4, updated = ?4

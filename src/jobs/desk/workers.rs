@@ -1,0 +1,280 @@
+//! What the desk answers workers: claims, signs of life, deliveries.
+
+use std::{
+    sync::{PoisonError, atomic::Ordering},
+    time::{Duration, Instant},
+};
+
+use jiff::SignedDuration;
+use serde_json::{Value, json};
+use uuid::Uuid;
+
+use super::{Desk, new_job};
+use crate::{
+    clock,
+    domain::{
+        job::{Exception, Job, Report},
+        problem::{Code, Problem},
+    },
+    jobs::{
+        engine::Boxed,
+        link::{Artifact, Assignment, Delivery, JobLink, LinkError, LogLine, Output, Verdict},
+        processes::Process,
+    },
+    store::{
+        StoreError,
+        jobs::{Beat, Claim, Outcome, OutputRecord},
+    },
+};
+
+/// Progress is written at most this often a job; a sign of life between two writes is only read.
+const WRITE_EVERY: Duration = Duration::from_millis(500);
+
+/// An output up to this size stands in the row of the job, bytes.
+const LARGEST_INLINE: usize = 256 * 1024;
+
+impl Desk {
+    fn lease(&self) -> SignedDuration {
+        SignedDuration::try_from(self.0.engine.lease()).unwrap_or(SignedDuration::from_secs(30))
+    }
+
+    fn fenced(&self, error: StoreError) -> Result<Verdict, LinkError> {
+        match error {
+            StoreError::Fenced | StoreError::Missing | StoreError::Transition(_) => {
+                self.0.fenced.fetch_add(1, Ordering::Relaxed);
+                Ok(Verdict::Fenced)
+            }
+            other => Err(LinkError(other.to_string())),
+        }
+    }
+
+    async fn assign(&self, id: Uuid, worker: &str) -> Result<Assignment, LinkError> {
+        let link = |error: StoreError| LinkError(error.to_string());
+        let survives = self.0.engine.workers_survive();
+        let claim = self.0.store.claim_job(id, worker, clock::now(), self.lease(), survives).await.map_err(link)?;
+        self.changed(id);
+        let (job, checkpoint) = match claim {
+            Claim::Busy => return Ok(Assignment::Busy),
+            Claim::Over => return Ok(Assignment::Over),
+            Claim::GivenUp(ended) => {
+                self.see_to(ended).await;
+                return Ok(Assignment::Over);
+            }
+            Claim::Taken { job, checkpoint } => (job, checkpoint),
+        };
+        let payload = match Process::from_id(&job.process_id) {
+            Some(process) => process.payload(&self.0.store, &job).await,
+            None => Err(Problem::new(Code::JobFailed, format!("there is no process {} any more", job.process_id))),
+        };
+        match payload {
+            Ok(payload) => Ok(Assignment::Taken { job, payload, checkpoint }),
+            Err(problem) if problem.code == Code::Internal => {
+                // not the fault of the job: it is tried again
+                self.0.store.release_job(job.id, job.attempt, 0, clock::now()).await.map_err(link)?;
+                Err(LinkError(problem.cause.unwrap_or(problem.detail)))
+            }
+            Err(problem) => {
+                let exception = Exception { code: problem.code.slug().into(), detail: problem.detail };
+                self.end(job.id, job.attempt, Outcome::Failed(exception), None, 0).await.map_err(link)?;
+                Ok(Assignment::Over)
+            }
+        }
+    }
+
+    async fn beaten(&self, id: Uuid, attempt: u32, report: &Report) -> Result<Verdict, LinkError> {
+        let link = |error: StoreError| LinkError(error.to_string());
+        let due = {
+            let written = self.0.written.lock().unwrap_or_else(PoisonError::into_inner);
+            written.get(&id).is_none_or(|(at, before)| {
+                let age = at.elapsed();
+                age >= self.0.engine.lease() / 4 || (age >= WRITE_EVERY && before != report)
+            })
+        };
+        let beat = if due {
+            let beat = self.0.store.beat_job(id, attempt, report, clock::now(), self.lease()).await.map_err(link)?;
+            if beat == Beat::Go {
+                let mut written = self.0.written.lock().unwrap_or_else(PoisonError::into_inner);
+                written.insert(id, (Instant::now(), report.clone()));
+            }
+            self.changed(id);
+            beat
+        } else {
+            self.0.store.is_attempt_current(id, attempt).await.map_err(link)?
+        };
+        if beat == Beat::Go {
+            return Ok(Verdict::Counts);
+        }
+        let newer = self.0.store.job(id).await.map_err(link)?.is_some_and(|job| job.attempt != attempt);
+        if newer {
+            // not merely dismissed: a worker that was thought lost writes for an attempt that was taken over
+            self.0.fenced.fetch_add(1, Ordering::Relaxed);
+        } else {
+            self.over(id);
+        }
+        Ok(Verdict::Fenced)
+    }
+
+    async fn received(
+        &self,
+        id: Uuid,
+        attempt: u32,
+        delivery: &Delivery,
+        compute_ms: u64,
+    ) -> Result<Verdict, LinkError> {
+        let output = match delivery {
+            Delivery::Failed(exception) => {
+                let outcome = Outcome::Failed(exception.clone());
+                return self.verdict(self.end(id, attempt, outcome, None, compute_ms).await);
+            }
+            Delivery::Finished(output) => output,
+        };
+        if !output.split.is_empty() {
+            return match self.children(id, output).await {
+                Ok(jobs) => self.verdict(self.end(id, attempt, Outcome::Split(jobs), None, compute_ms).await),
+                Err(problem) if problem.code == Code::Internal => {
+                    Err(LinkError(problem.cause.unwrap_or(problem.detail)))
+                }
+                Err(problem) => {
+                    let exception = Exception { code: problem.code.slug().into(), detail: problem.detail };
+                    self.verdict(self.end(id, attempt, Outcome::Failed(exception), None, compute_ms).await)
+                }
+            };
+        }
+        let large_outputs = !output.artifacts.is_empty();
+        if large_outputs
+            && self.0.store.is_attempt_current(id, attempt).await.map_err(|error| LinkError(error.to_string()))?
+                == Beat::Stop
+        {
+            // before its outputs are stored, which nobody would remove
+            return self.fenced(StoreError::Fenced);
+        }
+        let _naming = self.0.naming.read().await;
+        let mut outputs = Vec::new();
+        let (mut results, large) = apart(&output.results);
+        for artifact in output.artifacts.iter().chain(&large) {
+            outputs.push(self.0.artifacts.put(artifact).await.map_err(|error| LinkError(error.to_string()))?);
+        }
+        if let Some(object) = results.as_object_mut() {
+            for output in &outputs {
+                object.insert(output.name.clone(), reference(id, output));
+            }
+        }
+        let outcome = Outcome::Successful { results, outputs };
+        self.verdict(self.end(id, attempt, outcome, output.keep.as_ref(), compute_ms).await)
+    }
+
+    fn verdict(&self, ended: Result<(), StoreError>) -> Result<Verdict, LinkError> {
+        ended.map_or_else(|error| self.fenced(error), |()| Ok(Verdict::Counts))
+    }
+
+    /// The jobs that a job goes on as, each checked like a submission.
+    async fn children(&self, parent: Uuid, output: &Output) -> Result<Vec<Job>, Problem> {
+        let above = self.0.store.job(parent).await.map_err(Problem::internal)?;
+        let above = above.ok_or_else(|| Problem::internal("the parent is gone"))?;
+        let mut jobs = Vec::with_capacity(output.split.len());
+        for (position, part) in (0..).zip(&output.split) {
+            let process = Process::from_id(&part.process_id)
+                .ok_or_else(|| Problem::new(Code::NoSuchProcess, format!("there is no process {}", part.process_id)))?;
+            let accepted = process.accept(&self.0.store, &part.inputs).await?;
+            let mut job = new_job(process, accepted.inputs, accepted.hash);
+            job.parent = Some(parent);
+            job.position = Some(position);
+            job.priority = above.priority;
+            job.labels.clone_from(&above.labels);
+            job.submitted_by.clone_from(&above.submitted_by);
+            jobs.push(job);
+        }
+        Ok(jobs)
+    }
+
+    /// Ends an attempt in the store, with what is kept beside it, and sees to what that brings about.
+    async fn end(
+        &self,
+        id: Uuid,
+        attempt: u32,
+        outcome: Outcome,
+        keep: Option<&Value>,
+        compute_ms: u64,
+    ) -> Result<(), StoreError> {
+        let now = clock::now();
+        let (outcome, kept) = match keep.map(|keep| Process::kept(id, keep, now)).transpose() {
+            Ok(kept) => (outcome, kept),
+            // to deliver it again would not mend it
+            Err(error) => {
+                (Outcome::Failed(Exception { code: Code::JobFailed.slug().into(), detail: error.to_string() }), None)
+            }
+        };
+        let ended = self.0.store.finish_job(id, attempt, outcome, kept.as_ref(), compute_ms, now).await?;
+        self.over(id);
+        self.see_to(ended).await;
+        Ok(())
+    }
+}
+
+/// How a large output stands in the results document.
+fn reference(job: Uuid, output: &OutputRecord) -> Value {
+    json!({
+        "href": format!("/v1/jobs/{job}/results/{}", output.name),
+        "type": output.media_type, "length": output.size, "sha256": output.sha256,
+    })
+}
+
+/// The results document without its large members, and these as outputs of their own.
+fn apart(results: &Value) -> (Value, Vec<Artifact>) {
+    let Some(members) = results.as_object() else { return (results.clone(), Vec::new()) };
+    let mut small = serde_json::Map::new();
+    let mut large = Vec::new();
+    for (name, value) in members {
+        let text = value.to_string();
+        if text.len() <= LARGEST_INLINE {
+            small.insert(name.clone(), value.clone());
+        } else {
+            let (name, media_type) = (name.clone(), "application/json".to_owned());
+            large.push(Artifact { name, media_type, bytes: text.into_bytes() });
+        }
+    }
+    (Value::Object(small), large)
+}
+
+impl JobLink for Desk {
+    fn claim<'a>(&'a self, job: Uuid, worker: &'a str) -> Boxed<'a, Result<Assignment, LinkError>> {
+        Box::pin(self.assign(job, worker))
+    }
+
+    fn beat<'a>(&'a self, job: Uuid, attempt: u32, report: &'a Report) -> Boxed<'a, Result<Verdict, LinkError>> {
+        Box::pin(self.beaten(job, attempt, report))
+    }
+
+    fn log<'a>(&'a self, job: Uuid, attempt: u32, lines: &'a [LogLine]) -> Boxed<'a, Result<(), LinkError>> {
+        Box::pin(async move {
+            let lines: Vec<_> = lines.iter().map(|line| (line.level.clone(), line.message.clone())).collect();
+            let stored = self.0.store.append_job_log(job, attempt, &lines, clock::now()).await;
+            self.verdict(stored).map(|_| ())
+        })
+    }
+
+    fn checkpoint<'a>(&'a self, job: Uuid, attempt: u32, bytes: &'a [u8]) -> Boxed<'a, Result<Verdict, LinkError>> {
+        Box::pin(async move {
+            let saved = self.0.store.save_checkpoint(job, attempt, bytes, clock::now()).await;
+            self.verdict(saved)
+        })
+    }
+
+    fn release(&self, job: Uuid, attempt: u32, compute_ms: u64) -> Boxed<'_, Result<Verdict, LinkError>> {
+        Box::pin(async move {
+            let released = self.0.store.release_job(job, attempt, compute_ms, clock::now()).await;
+            self.over(job);
+            self.verdict(released)
+        })
+    }
+
+    fn finish<'a>(
+        &'a self,
+        job: Uuid,
+        attempt: u32,
+        delivery: &'a Delivery,
+        compute_ms: u64,
+    ) -> Boxed<'a, Result<Verdict, LinkError>> {
+        Box::pin(self.received(job, attempt, delivery, compute_ms))
+    }
+}
