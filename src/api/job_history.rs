@@ -49,6 +49,17 @@ pub struct JobLogLine {
     message: String,
 }
 
+/// An event of a stream, in the fields of `text/event-stream`.
+#[derive(Serialize, ToSchema)]
+pub struct StreamEvent {
+    /// What `Last-Event-ID` resumes after.
+    id: String,
+    /// `status` or `progress`.
+    event: String,
+    /// JSON: the status and the attempt, or how far the attempt is.
+    data: String,
+}
+
 /// What is needed to run a job again, bit for bit.
 #[derive(Serialize, ToSchema)]
 pub struct Provenance {
@@ -81,10 +92,12 @@ pub struct Provenance {
 /// resumes after. The stream ends when the job has ended, and at a shutdown.
 #[utoipa::path(get, path = "/v1/jobs/{jobID}/events", operation_id = "stream_job_events", tag = "jobs",
     params(JobPath, ("Last-Event-ID" = Option<String>, Header, description = "Resume after the event of this id")),
-    responses((status = 200, description = "The events.", content_type = "text/event-stream", body = String)))]
+    responses((status = 200, description = "The events.", content_type = "text/event-stream", body = StreamEvent)))]
 pub async fn stream_events(
     State(state): State<AppState>,
     Path(path): Path<JobPath>,
+    // a stream has no entity tag; what is no list of tags is refused here as anywhere
+    _: Conditions,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     let job = find(&state, path.job_id).await?;

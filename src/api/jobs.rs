@@ -77,7 +77,7 @@ pub struct JobsQuery {
     max_duration: Option<u32>,
     /// Only jobs with this label, as `name:value`; several with commas.
     #[serde(default)]
-    #[param(example = "campaign:2007")]
+    #[param(example = "campaign:2007", pattern = "^[^:,]{1,64}:[^,]{0,256}(,[^:,]{1,64}:[^,]{0,256})*$")]
     label: Option<String>,
     /// Only the children of this job.
     #[serde(default)]
@@ -258,8 +258,12 @@ fn states(list: Option<&str>) -> Result<Vec<Status>, Problem> {
 
 fn labels(list: Option<&str>) -> Result<Vec<(String, String)>, Problem> {
     let pair = |text: &str| {
-        text.split_once(':').map(|(name, value)| (name.to_owned(), value.to_owned())).ok_or_else(|| {
-            let detail = "must be name:value, several with commas between";
+        let pair = text
+            .split_once(':')
+            .filter(|(name, value)| (1..=64).contains(&name.chars().count()) && value.chars().count() <= 256);
+        pair.map(|(name, value)| (name.to_owned(), value.to_owned())).ok_or_else(|| {
+            let detail =
+                "must be name:value, names of 1 to 64 and values of at most 256 characters, with commas between";
             Problem::field(Code::InvalidParameter, "/label", "wrong_pattern", detail)
         })
     };

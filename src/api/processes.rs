@@ -178,7 +178,8 @@ pub async fn get_process(Path(path): Path<ProcessPath>, conditions: Conditions) 
 ///   `Cache-Control: no-cache` is sent. `echo` is always computed anew.
 /// * `Prefer: wait=N`: the answer comes when the job has ended, or after N seconds (at most 30).
 #[utoipa::path(post, path = "/v1/processes/{processID}/execution", operation_id = "execute_process", tag = "processes",
-    params(ProcessPath, ("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible ASCII characters")),
+    params(ProcessPath, ("Idempotency-Key" = Option<String>, Header, pattern = "^[!-~]{1,255}$",
+        description = "1 to 255 visible ASCII characters")),
     request_body(content = Execute, example = json!({"inputs": {"station": "lochaber", "label": "observed", "lead": 0}})),
     responses((status = 201, description = "The job; `Location` is its status document.", body = StatusInfo,
                headers(("Location" = String, description = "The status document of the job."),

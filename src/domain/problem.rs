@@ -82,7 +82,7 @@ codes! {
     ModelMismatch "model-mismatch" 422 "The model does not fit the station" "The model was trained for another station or lead. Name one of this station and lead.";
     Interrupted "interrupted" 500 "The job was interrupted" "The service ended while the job was running. Submit it again.";
     CrashedRepeatedly "crashed-repeatedly" 500 "The job took its worker down" "Several attempts in a row ended without a word. The job is not tried again.";
-    JobFailed "job-failed" 500 "The job failed" "The computation ended with an error, which the detail names.";
+    JobFailed "job-failed" 422 "The job failed" "The computation ended with an error, which the detail names.";
     Internal "internal" 500 "The service failed" "Something broke that the caller cannot mend. Report the `traceId` to the operator, who finds the cause in the log.";
     Overloaded "overloaded" 503 "The service is too busy" "Too many requests or jobs are waiting. Wait for the time in `Retry-After` and try again.";
     ShuttingDown "shutting-down" 503 "The service is shutting down" "The service takes no new work. Try again in a moment.";
