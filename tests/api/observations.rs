@@ -148,10 +148,9 @@ async fn revisions_keep_who_wrote_what_and_when() {
       ]
     }
     "#);
-    let stamps: Vec<&str> =
-        revisions["revisions"].as_array().unwrap().iter().map(|r| r["recorded"].as_str().unwrap()).collect();
+    let stamp = |revision: &Value| revision["recorded"].as_str().unwrap().parse::<jiff::Timestamp>().expect("an instant");
+    let stamps: Vec<_> = revisions["revisions"].as_array().unwrap().iter().map(stamp).collect();
     assert!(stamps.is_sorted(), "{stamps:?}");
-    assert!(stamps.iter().all(|stamp| stamp.parse::<jiff::Timestamp>().is_ok()), "{stamps:?}");
 }
 
 #[tokio::test]
