@@ -148,7 +148,8 @@ async fn revisions_keep_who_wrote_what_and_when() {
       ]
     }
     "#);
-    let stamp = |revision: &Value| revision["recorded"].as_str().unwrap().parse::<jiff::Timestamp>().expect("an instant");
+    let stamp =
+        |revision: &Value| revision["recorded"].as_str().unwrap().parse::<jiff::Timestamp>().expect("an instant");
     let stamps: Vec<_> = revisions["revisions"].as_array().unwrap().iter().map(stamp).collect();
     assert!(stamps.is_sorted(), "{stamps:?}");
 }

@@ -27,8 +27,14 @@ EXPLAINED = {
     "put_active_model": {"model-mismatch": {"/model_id"}, "precondition-failed": {""}},
     # a time zone that the IANA database does not have; If-Match of another version
     "put_station": {"invalid-body": {"/timezone"}, "precondition-failed": {""}},
-    # the inputs of a process have a schema of their own, in its description
-    "execute_process": {"invalid-inputs": {"/inputs"}, "training-window": {"/inputs"}},
+    # the inputs of a process have a schema of their own, in its description; names of labels have rules that a schema of
+    # their values cannot say; a key belongs to the request that it was first sent with
+    "execute_process": {
+        "invalid-inputs": {"/inputs"},
+        "training-window": {"/inputs"},
+        "invalid-body": {"/labels"},
+        "idempotency-key-reused": {""},
+    },
     # an activity that contradicts the count, type, trigger or size
     "put_avalanches": {
         "invalid-body": {"/count", "/type", "/trigger", "/size"},
