@@ -122,7 +122,7 @@ pub type Labels = BTreeMap<String, String>;
 
 /// How urgent a job is, 0 (last) to 9 (first).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(try_from = "u8", into = "u8")]
+#[serde(try_from = "f64", into = "u8")]
 pub struct Priority(u8);
 
 impl Priority {
@@ -147,6 +147,15 @@ impl TryFrom<u8> for Priority {
 
     fn try_from(value: u8) -> Result<Self, Self::Error> {
         if value <= Self::MAX { Ok(Self(value)) } else { Err("must be from 0 (last) to 9 (first)") }
+    }
+}
+
+impl TryFrom<f64> for Priority {
+    type Error = &'static str;
+
+    /// JSON has one kind of number: 5 and 5.0 are the same priority.
+    fn try_from(value: f64) -> Result<Self, Self::Error> {
+        (0..=Self::MAX).find(|whole| f64::from(*whole) == value).map(Self).ok_or("must be from 0 (last) to 9 (first)")
     }
 }
 
@@ -214,6 +223,15 @@ mod tests {
                 assert_eq!(status.after(event), Err(TransitionError { status, event }));
             }
         }
+    }
+
+    #[test]
+    fn a_priority_is_a_whole_number_from_0_to_9() {
+        let read = |text: &str| serde_json::from_str::<Priority>(text).map(Priority::get).ok();
+        assert_eq!(
+            (read("9"), read("0.0"), read("5.5"), read("10"), read("-1"), read("1e99")),
+            (Some(9), Some(0), None, None, None, None)
+        );
     }
 
     #[test]
