@@ -27,6 +27,9 @@ const JOBS: usize = 1000;
 const CALLERS: usize = 200;
 const POLLS: usize = 25;
 
+/// Trainings that keep the cores busy meanwhile.
+const TRAININGS: usize = 20;
+
 #[tokio::main]
 async fn main() -> Outcome<()> {
     let cores = std::thread::available_parallelism()?;
@@ -112,10 +115,15 @@ async fn polls() -> Outcome<()> {
     let csv = firn::formats::observations_csv::write(rows.collect::<Result<Vec<_>, _>>()?);
     let import = client.post(format!("{base}/v1/stations/synthetic/observations")).header("content-type", "text/csv");
     import.body(csv).send().await?.error_for_status()?;
-    let execution = client.post(format!("{base}/v1/processes/train-model/execution"));
-    let inputs = json!({"inputs": {"station": "synthetic", "label": "observed", "lead": 0}});
-    let job: Value = execution.json(&inputs).send().await?.error_for_status()?.json().await?;
-    let address = format!("{base}/v1/jobs/{}", job["jobID"].as_str().unwrap_or_default());
+    // more than can end while it is measured: both slots must compute to the last poll
+    let mut trainings = Vec::new();
+    for seed in 0..TRAININGS {
+        let inputs = json!({"inputs": {"station": "synthetic", "label": "observed", "lead": 0, "seed": seed}});
+        let execution = client.post(format!("{base}/v1/processes/train-model/execution")).json(&inputs);
+        let job: Value = execution.send().await?.error_for_status()?.json().await?;
+        trainings.push(format!("{base}/v1/jobs/{}", job["jobID"].as_str().unwrap_or_default()));
+    }
+    let address = trainings[0].clone();
     tokio::time::sleep(Duration::from_secs(1)).await;
 
     let mut callers = JoinSet::new();
@@ -139,16 +147,22 @@ async fn polls() -> Outcome<()> {
         times.extend(done??);
     }
     times.sort();
-    let status: Value = client.get(&address).send().await?.json().await?;
+    let list = client.get(format!("{base}/v1/jobs?status=running")).send().await?.json::<Value>().await?;
+    let running_still = list["jobs"].as_array().map_or(0, Vec::len);
+    if running_still < 2 {
+        return Err(format!("{running_still} trainings run at the end: the cores were not busy all the time").into());
+    }
     let ms = |share: usize| times[(times.len() - 1) * share / 100].as_secs_f64() * 1e3;
     println!(
-        "{CALLERS} callers, a status poll each half second, while a training is {}: median {:.2} ms (target: 2), 95 % {:.2} ms, 99 % {:.2} ms",
-        status["status"],
+        "{CALLERS} callers, a status poll each half second, while two trainings run: median {:.2} ms (target: 2), \
+         95 % {:.2} ms, 99 % {:.2} ms",
         ms(50),
         ms(95),
         ms(99)
     );
-    client.delete(&address).send().await?;
+    for training in trainings {
+        client.delete(&training).send().await?;
+    }
     stop.cancel();
     running.await??;
     Ok(())
