@@ -61,46 +61,59 @@ fn dual_objective(kernel: Kernel, rows: &[Vec<f64>], coefficient: &[f64]) -> f64
     0.5 * quadratic - coefficient.iter().map(|c| c.abs()).sum::<f64>()
 }
 
-/// Fits at `epsilon` by both: largest difference of a training row's decision value, and of the objective, relative.
+/// Fits by firn as it is used and by LIBSVM stopped at `epsilon`: largest difference of a training row's decision value, and of
+/// the objective, relative.
 ///
 /// Where no variable is free the threshold is an interval, of which the two may choose different points: the difference is
 /// then taken after removing the offset.
 fn disagreement(p: &Problem, epsilon: f64) -> (f64, f64) {
-    let options = SolverOptions { epsilon, ..SolverOptions::default() };
+    let options = SolverOptions::default();
     let machine = train(&p.x, &p.labels, p.kernel, p.cost, &options).unwrap_or_else(|e| panic!("{}: {e}", p.name));
     let theirs = oracle(p, epsilon);
     let ours: Vec<f64> = (0..p.x.rows()).map(|i| machine.decision_value(p.x.row(i))).collect();
     let bound = |coefficient: f64| if coefficient > 0.0 { p.cost.positive } else { p.cost.negative };
     let is_free = |c: f64| c.abs() < bound(c) * (1.0 - 1e-9) && c.abs() > bound(c) * 1e-9;
     let offset = if machine.coefficient.iter().any(|&c| is_free(c)) { 0.0 } else { theirs.decision[0] - ours[0] };
-    let df = ours.iter().zip(&theirs.decision).map(|(a, b)| (a + offset - b).abs()).fold(0.0, f64::max);
+    let df = largest_difference(&ours, &theirs.decision, offset);
     let objective = dual_objective(machine.kernel, &machine.support, &machine.coefficient);
     // the objective reported comes from the rows in single precision
     assert!((machine.objective / objective - 1.0).abs() < 1e-5, "{}: {} {objective}", p.name, machine.objective);
-    assert!(machine.kkt_gap < epsilon, "{}", p.name);
+    assert!(machine.kkt_gap < options.epsilon, "{}", p.name);
     (df, (objective / theirs.objective - 1.0).abs())
 }
 
-/// Two solutions that each violate the conditions by up to epsilon differ by more than epsilon where the problem is
-/// ill-conditioned, whoever computes them; so both are asked for a hundredth of the tolerance that is tested.
+fn largest_difference(a: &[f64], b: &[f64], offset: f64) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a + offset - b).abs()).fold(0.0, f64::max)
+}
+
+/// The tolerance of LIBSVM and scikit-learn where nobody asks for another.
+const THEIR_TOLERANCE: f64 = 1e-3;
+
+/// The machines that the service makes, against LIBSVM at the optimum (stopped where firn stops): the same objective to 1e-6
+/// and the same decision values to twice the tolerance that LIBSVM itself is used with.
 #[test]
 fn equals_libsvm() {
     for seed in 0..PROBLEMS {
         let p = problem(seed);
-        let (df, objective) = disagreement(&p, 1e-5);
-        assert!(df <= 2e-3, "{}: decision values differ by {df:e}", p.name);
+        let (df, objective) = disagreement(&p, SolverOptions::default().epsilon);
+        assert!(df <= 2.0 * THEIR_TOLERANCE, "{}: decision values differ by {df:e}", p.name);
         assert!(objective <= 1e-6, "{}: objectives differ by {objective:e}", p.name);
     }
 }
 
-/// At the tolerance that is used, LIBSVM's own distance from the optimum is of the size of ours: nearly all problems agree
-/// within twice the tolerance, the rest (ill-conditioned) within ten times.
+/// Why firn stops at a hundredth of the usual tolerance: an m - M below epsilon does not keep decision values within 2 epsilon
+/// of the optimum. LIBSVM at its own tolerance is further than that from LIBSVM at the optimum in some problems, and so
+/// from every solver that is exact.
 #[test]
-fn agrees_with_libsvm_at_the_default_tolerance() {
-    let differences: Vec<f64> = (0..PROBLEMS).map(|seed| disagreement(&problem(seed), 1e-3).0).collect();
-    let close = differences.iter().filter(|&&df| df <= 2e-3).count();
-    assert!(close * 10 >= differences.len() * 9, "{close} of {}", differences.len());
-    assert!(differences.iter().all(|&df| df <= 1e-2));
+fn the_usual_tolerance_does_not_bound_decision_values_by_twice_itself() {
+    let apart = (0..PROBLEMS).filter(|&seed| {
+        let p = problem(seed);
+        let (usual, exact) = (oracle(&p, THEIR_TOLERANCE), oracle(&p, SolverOptions::default().epsilon));
+        largest_difference(&usual.decision, &exact.decision, 0.0) > 2.0 * THEIR_TOLERANCE
+    });
+    assert!(apart.count() > 0);
+    let close = (0..PROBLEMS).filter(|&seed| disagreement(&problem(seed), THEIR_TOLERANCE).0 <= 2.0 * THEIR_TOLERANCE);
+    assert!(close.count() * 10 >= PROBLEMS as usize * 9);
 }
 
 fn labels_sign(event: bool) -> f64 {
@@ -143,7 +156,7 @@ fn every_solution_is_feasible_and_optimal() {
         let rounding =
             1e-7 * total * (0..p.x.rows()).map(|i| p.kernel.value(p.x.row(i), p.x.row(i))).fold(0.0, f64::max);
         let gap = gap_of(&p, &solution.alpha);
-        assert!(gap < 1e-3 + rounding, "{}: {gap:e}", p.name);
+        assert!(gap < SolverOptions::default().epsilon + rounding, "{}: {gap:e}", p.name);
     }
 }
 
@@ -153,7 +166,7 @@ fn any_warm_start_leads_to_the_same_optimum() {
         let p = problem(seed);
         let gram = Gram::of_rows(&p.x, p.kernel);
         let all: Vec<usize> = (0..p.x.rows()).collect();
-        let options = SolverOptions { epsilon: 1e-5, ..SolverOptions::default() };
+        let options = SolverOptions::default();
         let fit = |warm: Option<&[f64]>| solve(&gram, &all, &p.labels, p.cost, &options, warm).unwrap();
         let cold = fit(None);
         // infeasible in every way: below 0, above the bound, unbalanced
