@@ -1,9 +1,10 @@
 //! Rows of features stored by column, so that one row against all others runs over contiguous memory.
 
 use multiversion::multiversion;
+use nalgebra::DMatrix;
 
 use super::kernel::{Kernel, KernelFamily};
-use super::lanes::padded;
+use super::lanes::{dot, padded};
 use crate::forecast::matrix::Matrix;
 
 /// Features of `rows` samples, column after column, each padded with zeros to `stride` entries.
@@ -51,6 +52,67 @@ impl Columns {
         kernel_of_pairs(kernel, pairs, out);
         out[self.rows..].fill(0.0);
     }
+
+    /// The features, one padded column each.
+    fn features(&self) -> impl ExactSizeIterator<Item = &[f64]> {
+        self.data.chunks_exact(self.stride.max(1))
+    }
+
+    /// Sum of the squared features of each sample.
+    pub(super) fn square_norms(&self) -> Vec<f64> {
+        let mut norms = vec![0.0; self.rows];
+        for column in self.features() {
+            norms.iter_mut().zip(column).for_each(|(norm, x)| *norm += x * x);
+        }
+        norms
+    }
+
+    /// `X' weights`: the sum of all samples, each with its weight; one entry a feature.
+    pub(super) fn combination(&self, weights: &[f64]) -> Vec<f64> {
+        let mut padded = weights.to_vec();
+        padded.resize(self.stride, 0.0);
+        combine(&self.data, self.stride, &padded)
+    }
+
+    /// `X normal`: the inner product of every sample with `normal`.
+    pub(super) fn products(&self, normal: &[f64]) -> Vec<f64> {
+        let mut products = vec![0.0; self.rows];
+        add_inner_products(&self.data, self.stride, normal, &mut products);
+        products
+    }
+
+    /// `I + X' diag(weights) X`, features x features.
+    pub(super) fn weighted_products(&self, weights: &[f64]) -> DMatrix<f64> {
+        let mut padded = weights.to_vec();
+        padded.resize(self.stride, 0.0);
+        let lower = weigh(&self.data, self.stride, &padded);
+        let features = self.features().len();
+        DMatrix::from_fn(features, features, |a, b| {
+            lower[a.max(b) * features + a.min(b)] + if a == b { 1.0 } else { 0.0 }
+        })
+    }
+}
+
+#[multiversion(targets = "simd")]
+fn combine(data: &[f64], stride: usize, weights: &[f64]) -> Vec<f64> {
+    data.chunks_exact(stride.max(1)).map(|column| dot(weights, column)).collect()
+}
+
+/// The lower triangle of `X' diag(weights) X`, row after row; the rest is 0.
+#[multiversion(targets = "simd")]
+fn weigh(data: &[f64], stride: usize, weights: &[f64]) -> Vec<f64> {
+    let features = data.len() / stride.max(1);
+    let mut products = vec![0.0; features * features];
+    let mut weighted = vec![0.0; stride];
+    for (a, column) in data.chunks_exact(stride.max(1)).enumerate() {
+        for ((target, weight), x) in weighted.iter_mut().zip(weights).zip(column) {
+            *target = weight * x;
+        }
+        for (b, other) in data.chunks_exact(stride.max(1)).take(a + 1).enumerate() {
+            products[a * features + b] = dot(&weighted, other);
+        }
+    }
+    products
 }
 
 /// Elements of a row that are kept in the first-level cache while the features pass by.

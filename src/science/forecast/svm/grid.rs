@@ -8,7 +8,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::columns::Columns;
 use super::gram::{Gram, PairTable, Selection};
+use super::interior::solve_linear;
 use super::kernel::KernelFamily;
 use super::lanes;
 use super::machine::check_features;
@@ -236,6 +238,9 @@ struct Search<'a> {
 impl Search<'_> {
     /// Decision values by gamma, cost, fold and row.
     fn run(&self, gammas: &[Option<f64>]) -> Result<Vec<ByCost>, GridError> {
+        if self.family == KernelFamily::Linear {
+            return Ok(vec![self.run_linear()?]);
+        }
         let n = self.x.rows();
         let pairs = 2 * Gram::bytes(n);
         // besides the pairs: a Gram matrix for every gamma of a group, and a sub-matrix for every thread
@@ -278,6 +283,36 @@ impl Search<'_> {
             }
         }
         Ok(by_gamma)
+    }
+
+    /// Every fold and cost of linear machines, each a task of its own: decision values by cost, fold and row.
+    fn run_linear(&self) -> Result<ByCost, GridError> {
+        let parts: Vec<Columns> =
+            self.folds.iter().map(|fold| Columns::of_rows(self.x, fold.training.iter().copied())).collect();
+        let tasks: Vec<(usize, usize)> =
+            (0..self.costs.len()).flat_map(|c| (0..self.folds.len()).map(move |f| (c, f))).collect();
+        let outcomes: Vec<Result<Vec<f64>, GridError>> =
+            tasks.into_par_iter().map(|(c, f)| self.linear(self.costs[c], &self.folds[f], &parts[f])).collect();
+        let mut by_cost = vec![Vec::with_capacity(self.folds.len()); self.costs.len()];
+        for (task, outcome) in outcomes.into_iter().enumerate() {
+            by_cost[task / self.folds.len()].push(outcome?);
+        }
+        Ok(by_cost)
+    }
+
+    /// Decision values of the rows of a fold by the linear machine of the others, whose features are `columns`.
+    fn linear(&self, c: f64, fold: &Fold, columns: &Columns) -> Result<Vec<f64>, GridError> {
+        if self.steps.progress.cancelled() {
+            return Err(GridError::Cancelled);
+        }
+        let mut dual = Dual::new(&fold.training_labels, Cost::balanced(c, &fold.training_labels));
+        let stop = || self.steps.progress.cancelled();
+        solve_linear(&mut dual, columns, self.options, &stop).map_err(|source| failure(c, None, fold, source))?;
+        let normal = columns.combination(&dual.beta()[..fold.training.len()]);
+        let rho = dual.rho();
+        self.steps.advance();
+        let product = |row: usize| self.x.row(row).iter().zip(&normal).fold(0.0, |sum, (x, w)| sum + x * w);
+        Ok(fold.held_out.iter().map(|&row| product(row) - rho).collect())
     }
 
     /// One fold at every cost, on rows selected from a Gram matrix of all rows.

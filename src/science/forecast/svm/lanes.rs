@@ -69,11 +69,11 @@ pub(super) fn exp_of_negative(x: f64) -> f64 {
 
 /// `sum a_k b_k`; lengths must be equal multiples of [`LANES`], what exceeds is left out.
 #[inline(always)]
-pub(super) fn dot(a: &[f64], b: &[f32]) -> f64 {
+pub(super) fn dot<T: Copy + Into<f64>>(a: &[f64], b: &[T]) -> f64 {
     let mut sum = [0.0; LANES];
     for (a, b) in a.as_chunks::<LANES>().0.iter().zip(b.as_chunks::<LANES>().0) {
         for lane in 0..LANES {
-            sum[lane] += a[lane] * f64::from(b[lane]);
+            sum[lane] += a[lane] * b[lane].into();
         }
     }
     let mut width = LANES / 2;

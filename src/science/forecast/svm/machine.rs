@@ -2,9 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::columns::Columns;
 use super::gram::Gram;
+use super::interior::solve_linear;
 use super::kernel::Kernel;
 use super::rows::{CachedRows, WholeRows};
+use super::smo::Dual;
 use super::solver::{Cost, Solution, SolverError, SolverOptions, check_length, check_problem, solve_rows};
 use crate::forecast::matrix::Matrix;
 
@@ -23,7 +26,7 @@ pub struct Machine {
     pub rho: f64,
     /// Dual objective `1/2 a'Qa - sum a` at the solution.
     pub objective: f64,
-    /// SMO iterations of the fit.
+    /// Iterations of the fit: of SMO, or of the interior point for a linear kernel.
     pub iterations: usize,
     /// m - M at the solution, computed afresh.
     pub kkt_gap: f64,
@@ -31,8 +34,8 @@ pub struct Machine {
 
 /// Fits a machine to the rows of `x` (samples x features, finite and standardised) with one label a row.
 ///
-/// The whole Gram matrix is kept up to [`SolverOptions::memory_limit_bytes`]; beyond it the most recently used rows are, as
-/// many as fit in. Both give the same bits.
+/// For a Gaussian kernel the whole Gram matrix is kept up to [`SolverOptions::memory_limit_bytes`]; beyond it the most recently
+/// used rows are, as many as fit in. Both give the same bits.
 ///
 /// # Errors
 /// [`SolverError`]; [`SolverError::RowOutOfRange`] and [`SolverError::Cancelled`] never.
@@ -48,7 +51,11 @@ pub fn train(
         return Err(SolverError::InvalidGamma);
     }
     check_features(x)?;
-    let solution = if Gram::bytes(x.rows()) <= options.memory_limit_bytes {
+    let solution = if kernel == Kernel::Linear {
+        let mut dual = Dual::new(labels, cost);
+        let effort = solve_linear(&mut dual, &Columns::of_rows(x, 0..x.rows()), options, &|| false)?;
+        dual.solution(effort)
+    } else if Gram::bytes(x.rows()) <= options.memory_limit_bytes {
         let gram = Gram::of_rows(x, kernel);
         if !gram.is_finite() {
             return Err(SolverError::NotFinite);

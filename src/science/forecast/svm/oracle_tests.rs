@@ -160,6 +160,29 @@ fn every_solution_is_feasible_and_optimal() {
     }
 }
 
+/// SMO, ours as LIBSVM's, takes millions of iterations for these; the conditions need no other program to be checked.
+#[test]
+fn linear_machines_are_optimal_at_any_cost() {
+    for seed in 0..60 {
+        let p = problem(seed);
+        for c in [30.0, 1e4] {
+            let cost = Cost::balanced(c, &p.labels);
+            let machine = train(&p.x, &p.labels, Kernel::Linear, cost, &SolverOptions::default())
+                .unwrap_or_else(|e| panic!("{} at {c}: {e}", p.name));
+            let mut alpha = vec![0.0; p.x.rows()];
+            for (&i, coefficient) in machine.support_index.iter().zip(&machine.coefficient) {
+                alpha[i] = coefficient.abs();
+            }
+            let total: f64 = alpha.iter().sum();
+            let balance: f64 = machine.coefficient.iter().sum();
+            assert!(balance.abs() <= 1e-12 * total, "{} at {c}: {balance:e}", p.name);
+            let linear = Problem { kernel: Kernel::Linear, cost, ..p.clone() };
+            let gap = gap_of(&linear, &alpha);
+            assert!(gap < 1.1 * SolverOptions::default().epsilon, "{} at {c}: {gap:e}", p.name);
+        }
+    }
+}
+
 #[test]
 fn any_warm_start_leads_to_the_same_optimum() {
     for seed in 0..PROBLEMS / 2 {

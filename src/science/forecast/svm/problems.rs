@@ -8,6 +8,7 @@ use super::solver::Cost;
 use crate::forecast::matrix::Matrix;
 
 /// A training set with everything a fit needs.
+#[derive(Clone)]
 pub(super) struct Problem {
     pub(super) name: String,
     pub(super) x: Matrix,

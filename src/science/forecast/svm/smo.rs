@@ -4,7 +4,7 @@ use multiversion::multiversion;
 
 use super::lanes::{BLOCK, from_order, order, padded, subtract_scaled};
 use super::rows::Rows;
-use super::solver::{Cost, SolverError, SolverOptions};
+use super::solver::{Cost, Solution, SolverError, SolverOptions};
 
 /// Least curvature of a working pair (Fan, Chen & Lin 2005): pairs of equal rows have none of their own.
 const TAU: f64 = 1e-12;
@@ -78,6 +78,27 @@ impl Dual {
     /// `y_i alpha_i` of every row.
     pub(super) fn beta(&self) -> &[f64] {
         &self.beta
+    }
+
+    /// +1 for an event, -1 otherwise; padding 0.
+    pub(super) fn target(&self) -> &[f64] {
+        &self.target
+    }
+
+    /// Lower and upper bounds of `beta`.
+    pub(super) fn bounds(&self) -> (&[f64], &[f64]) {
+        (&self.lower, &self.upper)
+    }
+
+    /// Moves to the feasible `beta` whose decision values without threshold are `products`, and returns m - M there.
+    pub(super) fn place(&mut self, beta: &[f64], products: &[f64]) -> f64 {
+        self.beta[..beta.len()].copy_from_slice(beta);
+        for (i, product) in products.iter().enumerate() {
+            self.residual[i] = self.target[i] - product;
+            self.mark_bounds(i);
+        }
+        let (most, least) = self.extremes();
+        most - least
     }
 
     /// Starts from `alpha` made feasible: clipped to the bounds, then the class with the larger sum is reduced, its free
@@ -174,6 +195,18 @@ impl Dual {
             least = if falls { least.min(residual) } else { least };
         }
         if free > 0 { -sum / free as f64 } else { -0.5 * (most + least) }
+    }
+
+    /// The present point as a solution that took `effort`.
+    pub(super) fn solution(&self, effort: Effort) -> Solution {
+        let alphas = self.beta.iter().zip(&self.target).filter(|(_, target)| **target != 0.0);
+        Solution {
+            alpha: alphas.map(|(b, _)| b.abs()).collect(),
+            rho: self.rho(),
+            objective: self.objective(),
+            iterations: effort.iterations,
+            kkt_gap: effort.gap,
+        }
     }
 
     /// Solves the problem from the present point, whose residual must be up to date.

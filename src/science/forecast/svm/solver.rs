@@ -61,7 +61,7 @@ pub struct Solution {
     pub rho: f64,
     /// `1/2 a'Qa - sum a`, which is minimised (LIBSVM's sign), on the rows in single precision that the solver works with.
     pub objective: f64,
-    /// SMO iterations.
+    /// Iterations: of SMO, or of the interior point for a linear machine.
     pub iterations: usize,
     /// m - M, computed afresh at the solution: below [`SolverOptions::epsilon`].
     pub kkt_gap: f64,
@@ -188,14 +188,7 @@ pub(super) fn solve_rows(
         dual.start_from(alpha, rows);
     }
     let effort = dual.solve(rows, options, &|| false)?;
-    let alpha = dual.beta()[..labels.len()].iter().map(|b| b.abs()).collect();
-    Ok(Solution {
-        alpha,
-        rho: dual.rho(),
-        objective: dual.objective(),
-        iterations: effort.iterations,
-        kkt_gap: effort.gap,
-    })
+    Ok(dual.solution(effort))
 }
 
 /// What a problem must fulfil whatever its rows come from.
