@@ -5,8 +5,7 @@ use std::sync::LazyLock;
 use utoipa::{
     Modify, OpenApi, ToSchema,
     openapi::{
-        Components, ContentBuilder, HeaderBuilder, Ref, RefOr, Required, Response, ResponseBuilder,
-        SecurityRequirement,
+        Components, ContentBuilder, HeaderBuilder, Ref, RefOr, Required, ResponseBuilder, SecurityRequirement,
         path::{Operation, ParameterBuilder, ParameterIn},
         schema::{ObjectBuilder, Type},
         security::{HttpAuthScheme, HttpBuilder, SecurityScheme},
@@ -76,9 +75,11 @@ pub fn text() -> &'static str {
 /// Adds to every operation the answers that any of them can give, so that none is undocumented.
 fn complete(document: &mut utoipa::openapi::OpenApi) {
     for (path, item) in &mut document.paths.paths {
-        let operations = [&mut item.get, &mut item.put, &mut item.post, &mut item.delete];
-        for operation in operations.into_iter().flatten() {
-            refusals(operation);
+        let operations =
+            [(&mut item.get, false), (&mut item.put, true), (&mut item.post, false), (&mut item.delete, false)];
+        for (operation, writes) in operations {
+            let Some(operation) = operation else { continue };
+            refusals(path, writes, operation);
             if path.starts_with("/v1") {
                 operation.security =
                     Some(vec![SecurityRequirement::new("key", Vec::<String>::new()), SecurityRequirement::default()]);
@@ -102,14 +103,60 @@ fn complete(document: &mut utoipa::openapi::OpenApi) {
     }
 }
 
-fn refusals(operation: &mut Operation) {
-    let problem = |about: &str| -> RefOr<Response> {
+/// Why a request can be refused or fail, by status.
+const REFUSALS: [(&str, &str); 15] = [
+    ("400", "A parameter, a header or the JSON of the body cannot be read."),
+    ("401", "The key is missing or not valid."),
+    ("403", "The role of the key does not allow this call, or a page of another origin made it."),
+    ("404", "What the address names is not there."),
+    ("406", "None of the accepted formats can be served."),
+    ("408", "The request was not complete, or not answered, in time."),
+    ("409", "The same request is being worked on, or the state of the resource does not allow this."),
+    ("412", "`If-Match` or `If-None-Match` does not hold."),
+    ("413", "The body is too large."),
+    ("415", "The content type of the body is not supported."),
+    ("416", "The range begins beyond the end."),
+    ("421", "The request was meant for another host."),
+    ("422", "A value is not acceptable; `errors` has a JSON pointer to each field at fault."),
+    ("500", "The service failed."),
+    ("503", "The service is too busy, not ready or shutting down."),
+];
+
+/// What an operation can answer beyond what its method, path and body bring with them.
+fn further_refusals(operation_id: Option<&str>) -> &'static [&'static str] {
+    match operation_id {
+        Some("execute_process" | "dismiss_job") => &["409"],
+        Some("list_observations") => &["406"],
+        Some("get_job_output") => &["416", "422"],
+        Some("get_job_results" | "list_forecasts" | "get_latest_forecast" | "get_forecast" | "list_similar_days") => {
+            &["422"]
+        }
+        _ => &[],
+    }
+}
+
+/// Documents every refusal that an operation can answer, and no other.
+fn refusals(path: &str, writes: bool, operation: &mut Operation) {
+    let mut statuses = vec!["400", "408", "421", "500", "503"];
+    if path.starts_with("/v1") {
+        statuses.extend(["401", "403"]);
+    }
+    if path.contains('{') {
+        statuses.push("404");
+    }
+    if operation.request_body.is_some() {
+        statuses.extend(["413", "415", "422"]);
+    }
+    if writes {
+        statuses.push("412");
+    }
+    statuses.extend(further_refusals(operation.operation_id.as_deref()));
+    for (status, about) in REFUSALS.iter().filter(|(status, _)| statuses.contains(status)) {
         let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem"))).build();
-        ResponseBuilder::new().description(about).content("application/problem+json", content).build().into()
-    };
-    let responses = &mut operation.responses.responses;
-    responses.insert("4XX".into(), problem("The request is refused; `/problems/{code}` explains why."));
-    responses.insert("5XX".into(), problem("The service cannot answer now; `/problems/{code}` explains why."));
+        let response = ResponseBuilder::new().description(*about).content("application/problem+json", content).build();
+        // a refusal that an operation describes itself says more
+        operation.responses.responses.entry((*status).into()).or_insert_with(|| response.into());
+    }
 }
 
 /// The form of `If-Match` and `If-None-Match` (RFC 9110, section 13.1): `*` or a list of entity tags.

@@ -3,6 +3,7 @@
 use std::{
     future::{Future, IntoFuture},
     pin::Pin,
+    sync::LazyLock,
 };
 
 use firn::domain::problem::Code;
@@ -43,13 +44,35 @@ impl IntoFuture for Call {
     fn into_future(self) -> Self::IntoFuture {
         // a connection belongs to the runtime that opened it, and the next test has another
         Box::pin(beside_the_servers(async move {
-            let response = self.0.send().await.expect("the server answers");
+            let (client, request) = self.0.build_split();
+            let request = request.expect("a request");
+            let (method, path) = (request.method().as_str().to_lowercase(), request.url().path().to_owned());
+            let response = client.execute(request).await.expect("the server answers");
+            assert_documented(&method, &path, response.status().as_u16());
             Answer {
                 status: response.status().as_u16(),
                 headers: response.headers().clone(),
                 body: response.bytes().await.expect("the body arrives").to_vec(),
             }
         }))
+    }
+}
+
+/// That the contract knows this answer: every status of an operation is written down there. An address or method that is no
+/// operation has none.
+fn assert_documented(method: &str, path: &str, status: u16) {
+    static DOCUMENT: LazyLock<Value> = LazyLock::new(|| serde_json::from_str(firn::api::openapi::text()).unwrap());
+    let fits = |template: &str| {
+        let (parts, names) = (path.split('/'), template.split('/'));
+        parts.clone().count() == names.clone().count() && parts.zip(names).all(|(a, b)| a == b || b.starts_with('{'))
+    };
+    let paths = DOCUMENT["paths"].as_object().expect("paths");
+    // a literal address goes before one with a parameter
+    let mut found: Vec<_> = paths.iter().filter(|(template, _)| fits(template)).collect();
+    found.sort_by_key(|(template, _)| template.matches('{').count());
+    if let Some(operation) = found.first().and_then(|(_, item)| item.get(method)) {
+        let documented = operation["responses"].get(status.to_string()).is_some();
+        assert!(documented, "{method} {path} answers {status}, which the contract does not know");
     }
 }
 
