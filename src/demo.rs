@@ -9,9 +9,9 @@ use crate::{
     api::AppState,
     clock,
     domain::{
+        avalanche::AvalancheRecord,
         ids::StationId,
         job::{Job, Labels, Priority},
-        observation::AvalancheRecord,
         station::{Station, StationBody},
     },
     jobs::{Submission, Submitted, processes::Process},

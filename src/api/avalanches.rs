@@ -15,8 +15,8 @@ use super::{
 use crate::{
     clock,
     domain::{
+        avalanche::{ActivitySchema, AvalancheRecord, AvalancheTrigger, AvalancheType},
         ids::StationId,
-        observation::{ActivitySchema, AvalancheRecord, AvalancheTrigger, AvalancheType},
         problem::{Code, FieldError, Problem},
         station::Station,
         units::{AvalancheCount, AvalancheSize},

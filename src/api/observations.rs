@@ -27,8 +27,9 @@ use super::{
 use crate::{
     clock,
     domain::{
+        avalanche::Contradiction,
         ids::StationId,
-        observation::{Contradiction, DatedObservation, Observation},
+        observation::{DatedObservation, Observation},
         problem::{Code, FieldError, Problem},
     },
     formats::observations_csv,

@@ -1,5 +1,6 @@
 //! The words of the service: what a station, an observation, a job and a problem are. No I/O.
 
+pub mod avalanche;
 pub mod date;
 pub mod ids;
 pub mod job;

@@ -10,10 +10,10 @@ use jiff::civil::Date;
 use super::csv_source::{Lines, Source, check_quotes};
 use super::text::decode;
 use super::{Flag, FlagCode, FormatError, Import, ImportedDay, ImportedRow, MAX_ROWS, RowError, RowErrorCode};
-use crate::domain::observation::{
-    AvalancheRecord, AvalancheTrigger, AvalancheType, Contradiction, DatedObservation, activity_from_name,
-    activity_name,
+use crate::domain::avalanche::{
+    AvalancheRecord, AvalancheTrigger, AvalancheType, Contradiction, activity_from_name, activity_name,
 };
+use crate::domain::observation::DatedObservation;
 use crate::domain::units::{AvalancheCount, AvalancheSize, OutOfRange};
 use crate::science::forecast::day::Variable;
 

@@ -4,7 +4,8 @@ use jiff::civil::Date;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::domain::observation::{AvalancheRecord, Contradiction, Observation};
+use crate::domain::avalanche::{AvalancheRecord, Contradiction};
+use crate::domain::observation::Observation;
 use crate::domain::units::{OutOfRange, bounds};
 use crate::science::forecast::day::{Activity, DayRecord, VARIABLES, Variable};
 

@@ -11,8 +11,9 @@ use sqlx::{
 
 use super::{Result, Store, StoreError, from_json, parse_date, parse_timestamp, stations::Written, to_json};
 use crate::domain::{
+    avalanche::{AvalancheRecord, activity_name},
     ids::StationId,
-    observation::{AvalancheRecord, Observation, activity_name},
+    observation::Observation,
 };
 
 /// Values of a day in the order of [`Variable::ALL`].

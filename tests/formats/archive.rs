@@ -6,7 +6,7 @@
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-use firn::domain::observation::{AvalancheTrigger, AvalancheType};
+use firn::domain::avalanche::{AvalancheTrigger, AvalancheType};
 use firn::formats::{FlagCode, Import, ImportedDay, observations_csv, sais};
 use firn::science::forecast::day::{Activity, Variable};
 

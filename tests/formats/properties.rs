@@ -1,6 +1,7 @@
 //! What must hold for any input.
 
-use firn::domain::observation::{AvalancheRecord, AvalancheTrigger, AvalancheType, DatedObservation, Observation};
+use firn::domain::avalanche::{AvalancheRecord, AvalancheTrigger, AvalancheType};
+use firn::domain::observation::{DatedObservation, Observation};
 use firn::domain::units::{AvalancheCount, AvalancheSize, bounds};
 use firn::formats::{Import, ndjson, observations_csv, sais};
 use firn::science::forecast::day::{Activity, Variable};

@@ -1,6 +1,6 @@
 //! Single fields of the export: numbers with their sentinels, precipitation codes and avalanche codes.
 
-use crate::domain::observation::{AvalancheRecord, AvalancheTrigger, AvalancheType};
+use crate::domain::avalanche::{AvalancheRecord, AvalancheTrigger, AvalancheType};
 use crate::domain::units::AvalancheCount;
 use crate::science::forecast::day::Activity;
 

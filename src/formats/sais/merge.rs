@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use jiff::civil::DateTime;
 
 use super::ImportedDay;
-use crate::domain::observation::{AvalancheRecord, activity_name};
+use crate::domain::avalanche::{AvalancheRecord, activity_name};
 use crate::domain::units::AvalancheCount;
 use crate::formats::{Flag, FlagCode, ImportedRow, MergedRow};
 use crate::science::forecast::day::Activity;

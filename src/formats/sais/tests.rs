@@ -3,7 +3,7 @@
 use jiff::civil::date;
 
 use super::*;
-use crate::domain::observation::{AvalancheTrigger, AvalancheType};
+use crate::domain::avalanche::{AvalancheTrigger, AvalancheType};
 use crate::formats::FlagCode;
 use crate::science::forecast::day::{Activity, Variable};
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use firn::{
-    domain::{ids::StationId, observation::AvalancheRecord, observation::Observation, station::StationBody},
+    domain::{avalanche::AvalancheRecord, ids::StationId, observation::Observation, station::StationBody},
     formats::observations_csv,
     science::forecast::{
         day::{Activity, DayRecord},
