@@ -109,7 +109,7 @@ async fn polls() -> Outcome<()> {
     client.put(format!("{base}/v1/stations/synthetic")).json(&json!({"name": "SYNTHETIC"})).send().await?;
     let days = firn::science::forecast::synthetic::synthetic_station(1, 1993, 14);
     let rows = days.iter().map(|day| {
-        let record = firn::domain::observation::AvalancheRecord::of(day.activity);
+        let record = firn::domain::avalanche::AvalancheRecord::of(day.activity);
         firn::domain::observation::Observation::from_values(&day.values, Some(&record)).map(|seen| seen.on(day.date))
     });
     let csv = firn::formats::observations_csv::write(rows.collect::<Result<Vec<_>, _>>()?);

@@ -12,10 +12,7 @@ use std::{
 
 use firn::{
     config::{Config, Settings},
-    domain::{
-        ids::StationId,
-        observation::{AvalancheRecord, Observation},
-    },
+    domain::{avalanche::AvalancheRecord, ids::StationId, observation::Observation},
     formats::observations_csv,
     science::forecast::{
         day::{DayRecord, season_of},
