@@ -4,4 +4,9 @@
 //! `x` points down the track and is 0 where the arc meets the run-out flat, `z` points up; every extensive quantity is a
 //! metre of width.
 
+pub mod release;
 pub mod snapshot;
+pub mod terrain;
+
+#[cfg(test)]
+mod terrain_tests;
