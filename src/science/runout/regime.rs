@@ -6,7 +6,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::scenario::GRAVITY_M_S2;
+use super::GRAVITY_M_S2;
+use super::material::Snow;
 
 /// How far a threshold may be moved before the class must hold no longer, as a share of it.
 pub const MOVED: f64 = 0.2;
@@ -152,35 +153,14 @@ pub struct Indicators {
     pub ductility: f64,
 }
 
-/// The parameters that [`Indicators`] are made of.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct IndicatorInputs {
-    /// Slope of the critical state line, dimensionless.
-    pub m: f64,
-    /// Tension over compression strength, dimensionless.
-    pub beta: f64,
-    /// Hardening factor, dimensionless.
-    pub xi: f64,
-    /// Initial consolidation pressure, Pa.
-    pub p0_pa: f64,
-    /// Bulk modulus, Pa.
-    pub bulk_modulus_pa: f64,
-    /// Density, kg/m3.
-    pub density_kg_m3: f64,
-    /// Thickness of the slab, m.
-    pub thickness_m: f64,
-    /// Bed friction, dimensionless.
-    pub bed_friction: f64,
-}
-
 impl Indicators {
-    /// The indicators of a scene.
+    /// The indicators of snow that lies `thickness_m` metres thick on a bed of that friction coefficient.
     #[must_use]
-    pub fn new(of: &IndicatorInputs) -> Self {
+    pub fn new(snow: &Snow, thickness_m: f64, bed_friction: f64) -> Self {
         Self {
-            friction_ratio: (of.bed_friction > 0.0).then(|| of.m / 3_f64.sqrt() / of.bed_friction),
-            cohesion: of.beta * of.p0_pa / (of.density_kg_m3 * GRAVITY_M_S2 * of.thickness_m),
-            ductility: (of.p0_pa / of.bulk_modulus_pa).asinh() / of.xi,
+            friction_ratio: (bed_friction > 0.0).then(|| snow.friction / 3_f64.sqrt() / bed_friction),
+            cohesion: snow.cohesion * snow.strength_pa / (snow.density_kg_m3 * GRAVITY_M_S2 * thickness_m),
+            ductility: -snow.plastic_strain_at_release(),
         }
     }
 }
@@ -248,21 +228,13 @@ mod tests {
 
     #[test]
     fn indicators_are_their_formulas() {
-        let of = IndicatorInputs {
-            m: 1.5,
-            beta: 0.5,
-            xi: 2.0,
-            p0_pa: 42_000.0,
-            bulk_modulus_pa: 42_000.0,
-            density_kg_m3: 250.0,
-            thickness_m: 2.0,
-            bed_friction: 0.5,
-        };
-        let indicators = Indicators::new(&of);
+        // K = E / (2 (1 + nu) (1 - 2 nu)) in two dimensions: 42 kPa here
+        let snow = Snow { youngs_modulus_pa: 84_000.0, poisson_ratio: 0.0, ..Snow::li_2020(1.5, 0.5, 2.0, 42_000.0) };
+        let indicators = Indicators::new(&snow, 2.0, 0.5);
         assert!((indicators.friction_ratio.unwrap() - 3_f64.sqrt()).abs() < 1e-15);
         assert!((indicators.cohesion - 21_000.0 / 4905.0).abs() < 1e-12);
         // asinh 1 = ln(1 + sqrt 2)
         assert!((indicators.ductility - (1.0 + 2_f64.sqrt()).ln() / 2.0).abs() < 1e-15);
-        assert_eq!(Indicators::new(&IndicatorInputs { bed_friction: 0.0, ..of }).friction_ratio, None);
+        assert_eq!(Indicators::new(&snow, 2.0, 0.0).friction_ratio, None);
     }
 }

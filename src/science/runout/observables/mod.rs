@@ -11,6 +11,7 @@ pub use profiles::{BIN_M, DepthProfile, VelocityProfile};
 pub use series::{EnergyRecord, FRONT, Series, TAIL};
 pub use summary::{Deposit, Ending, ReachAngles, Summary};
 
+use super::GRAVITY_M_S2;
 use super::release::Slab;
 use super::snapshot::{Energies, Snapshot};
 use super::terrain::Terrain;
@@ -26,8 +27,8 @@ pub const PROFILE_FRAMES: usize = 12;
 const REST_ENERGY: f64 = 1e-4;
 /// Speed of the centre of mass at rest, m/s.
 const REST_SPEED_M_S: f64 = 0.05;
-/// How long a flow must be at rest, s.
-const REST_TIME_S: f64 = 1.0;
+/// How long a flow must be at rest, frames: a second.
+const REST_FRAMES: usize = 24;
 
 /// What an observer must know of a scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,8 +39,6 @@ pub struct Scene {
     pub slab: Slab,
     /// Mass of the slab, kg a metre of width.
     pub mass_kg_m: f64,
-    /// Gravity, m/s2.
-    pub gravity_m_s2: f64,
     /// Height by which `v_max` is scaled: `H0` of Li et al. (2020), m.
     pub drop_height_m: f64,
     /// Where along the track the middle of the slope is, m.
@@ -116,16 +115,15 @@ impl Observer {
             let moving = energies.kinetic + energies.affine;
             moving < REST_ENERGY * self.released(energies) && speeds[frame] < REST_SPEED_M_S
         };
-        let since = (0..self.frames()).rev().take_while(quiet).last();
-        let now = series.time_s.last();
-        since.zip(now).is_some_and(|(frame, now)| now - series.time_s[frame] >= REST_TIME_S)
+        let quiet_frames = (0..self.frames()).rev().take_while(quiet).count();
+        quiet_frames > REST_FRAMES
     }
 
     /// Potential energy that was released until a frame, J a metre of width, at least that of a fall by the slab's thickness.
     fn released(&self, until: &EnergyRecord) -> f64 {
-        let Scene { mass_kg_m, gravity_m_s2, slab, .. } = &self.scene;
+        let Scene { mass_kg_m, slab, .. } = &self.scene;
         let before = self.seen.series.energies.first().map_or(0.0, |first| first.potential);
-        (before - until.potential).max(mass_kg_m * gravity_m_s2 * slab.thickness_m)
+        (before - until.potential).max(mass_kg_m * GRAVITY_M_S2 * slab.thickness_m)
     }
 }
 

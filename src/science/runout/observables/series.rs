@@ -142,7 +142,13 @@ fn slope(x: &[f64], y: &[f64]) -> f64 {
     if squares > 0.0 { products.sum::<f64>() / squares } else { 0.0 }
 }
 
-fn shape(snapshot: &Snapshot, on_bed: &OnBed, bins: &Bins, (tail, front): (f64, f64), release_length_m: f64) -> FlowShape {
+fn shape(
+    snapshot: &Snapshot,
+    on_bed: &OnBed,
+    bins: &Bins,
+    (tail, front): (f64, f64),
+    release_length_m: f64,
+) -> FlowShape {
     let layers = bins.layers(on_bed);
     let bed: f64 = layers.iter().map(|layer| layer.count * layer.bed).sum();
     let surface: f64 = layers.iter().map(|layer| layer.count * layer.surface).sum();

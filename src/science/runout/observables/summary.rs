@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Observer, Scene, Series};
+use crate::runout::GRAVITY_M_S2;
 use crate::runout::regime::{Criteria, FlowShape, Regime, classify};
 
 /// Share of the mean mass of a bin below which it is no deposit but scattered snow.
@@ -93,7 +94,7 @@ impl Observer {
         let v_max = largest(&series.v99_m_s);
         Some(Summary {
             v_max,
-            v_max_scaled: v_max / (scene.gravity_m_s2 * scene.drop_height_m).sqrt(),
+            v_max_scaled: v_max / (GRAVITY_M_S2 * scene.drop_height_m).sqrt(),
             front_v_max: largest(&series.front_velocity_m_s()),
             front_m: series.front_m[last],
             com_v_max: largest(&series.com_speed_m_s()),
