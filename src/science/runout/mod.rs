@@ -4,9 +4,26 @@
 //! `x` points down the track and is 0 where the arc meets the run-out flat, `z` points up; every extensive quantity is a
 //! metre of width.
 
+//!
+//! [`Simulation`] is the whole: made of a [`Setup`], advanced with [`Simulation::step_until`], looked at as a
+//! [`snapshot::Snapshot`].
+
+mod checkpoint;
+mod engine;
+mod error;
+mod grid;
+mod lanes;
+pub mod material;
+mod observe;
+mod particles;
 pub mod release;
+mod simulation;
 pub mod snapshot;
 pub mod terrain;
+mod transfer;
+
+pub use error::{Dump, ParticleState, RunoutError};
+pub use simulation::{Advance, Contact, GRAVITY_M_S2, LIMITED_ABOVE, Precision, Setup, Simulation};
 
 #[cfg(test)]
 mod terrain_tests;

@@ -26,7 +26,7 @@ pub(super) struct ChunkGrid<T> {
     pub(super) momentum: Vec<T>,
     /// Mass of each node, in particles.
     pub(super) mass: Vec<T>,
-    /// Elastic energy lost in plastic flow, in the units of stress.
+    /// Plastic work, in the units of stress.
     pub(super) plastic: f64,
     /// Particles that were not where the layout of the grid has them: a defect of the caller.
     pub(super) lost: u32,
@@ -108,6 +108,8 @@ struct Scratch<T> {
     deviatoric: [T; BLOCK],
     axis_xx: [T; BLOCK],
     axis_xz: [T; BLOCK],
+    /// Square of the elastic strains at the step's start: 0 of what carried no stress.
+    strained: [T; BLOCK],
     yielding: [T; BLOCK],
     /// Kirchhoff stress.
     txx: [T; BLOCK],
@@ -136,6 +138,7 @@ impl<T: Real> Scratch<T> {
             deviatoric: zero,
             axis_xx: zero,
             axis_xz: zero,
+            strained: zero,
             yielding: zero,
             txx: zero,
             tzz: zero,
@@ -274,16 +277,18 @@ fn advance<T: Real>(motion: &Motion<T>, place: &mut Place<T>) {
 #[inline(always)]
 fn trial<T: Real>(material: &Material<T>, block: &mut Block<T>, scratch: &mut Scratch<T>) {
     let (half, one) = (T::of(0.5), T::of(1.0));
-    let Scratch { motion, volumetric, deviatoric, axis_xx, axis_xz, yielding, txx, tzz, txz, .. } = scratch;
+    let Scratch { motion, volumetric, deviatoric, axis_xx, axis_xz, strained, yielding, txx, tzz, txz, .. } =
+        scratch;
     for k in 0..BLOCK {
         let (xx, zz, xz) = (block.bxx[k], block.bzz[k], block.bxz[k]);
+        strained[k] = xx * xx + zz * zz + xz * xz;
         let (lxx, lxz, lzx, lzz) = (motion.lxx[k], motion.lxz[k], motion.lzx[k], motion.lzz[k]);
-        // (I + L) b (I + L)^T - I, with b = I + (xx, zz, xz): nothing of order one is ever added to what is small
-        let (mxx, mxz) = (lxx + lxx * xx + lxz * xz, lxz + lxx * xz + lxz * zz);
-        let (mzx, mzz) = (lzx + lzx * xx + lzz * xz, lzz + lzx * xz + lzz * zz);
-        let new_xx = xx + (mxx + lxx + (lxx * xx + lxz * xz)) + (mxx * lxx + mxz * lxz);
-        let new_zz = zz + (mzz + lzz + (lzx * xz + lzz * zz)) + (mzx * lzx + mzz * lzz);
-        let new_xz = xz + (mzx + lxz + (lxx * xz + lxz * zz)) + (mzx * lxx + mzz * lxz);
+        // (I + L) b (I + L)^T - I = B + N + N^T + N L^T with B = b - I and N = L + L B: nothing is ever added to 1
+        let (nxx, nxz) = (lxx + (lxx * xx + lxz * xz), lxz + (lxx * xz + lxz * zz));
+        let (nzx, nzz) = (lzx + (lzx * xx + lzz * xz), lzz + (lzx * xz + lzz * zz));
+        let new_xx = xx + ((nxx + nxx) + (nxx * lxx + nxz * lxz));
+        let new_zz = zz + ((nzz + nzz) + (nzx * lzx + nzz * lzz));
+        let new_xz = xz + ((nxz + nzx) + (nxx * lzx + nxz * lzz));
         (block.bxx[k], block.bzz[k], block.bxz[k]) = (new_xx, new_zz, new_xz);
         // principal values of b - I and their logarithms
         let (mean, dxx) = (half * (new_xx + new_zz), half * (new_xx - new_zz));
@@ -300,7 +305,7 @@ fn trial<T: Real>(material: &Material<T>, block: &mut Block<T>, scratch: &mut Sc
     }
 }
 
-/// Brings the stresses of a group back to the yield surface, if any is outside; returns the elastic energy that is lost.
+/// Brings the stresses of a group back to the yield surface, if any is outside; returns the plastic work.
 #[inline(always)]
 fn plastic_return<T: Real>(
     material: &Material<T>,
@@ -339,6 +344,7 @@ fn plastic_return<T: Real>(
         }
     }
     let (axis_xx, axis_xz) = (window(&scratch.axis_xx), window(&scratch.axis_xz));
+    let motion = &scratch.motion;
     let mut lost = [zero; GROUP];
     for k in 0..GROUP {
         let out = yielding[k] > zero;
@@ -357,8 +363,15 @@ fn plastic_return<T: Real>(
         scratch.txx[i] = select(isotropic + deviator * axis_xx[k], scratch.txx[i]);
         scratch.tzz[i] = select(isotropic - deviator * axis_xx[k], scratch.tzz[i]);
         scratch.txz[i] = select(deviator * axis_xz[k], scratch.txz[i]);
+        // the mean of the stresses at the step's start and end does the plastic work; with that of the trial stress instead
+        // of the first, it would be the elastic energy that is lost
         let released = material.energy(volumetric[k], deviatoric[k]) - material.energy(volume[k], q);
-        lost[k] = select(released, zero);
+        let (volume_rate, shear_rate) = (motion.lxx[i] + motion.lzz[i], motion.lxx[i] - motion.lzz[i]);
+        let along_axis = shear_rate * axis_xx[k] + (motion.lxz[i] + motion.lzx[i]) * axis_xz[k];
+        let excess = T::of(0.5) * material.bulk * volume_rate * plastic[k]
+            + T::of(0.5) * material.shear_2 * along_axis * (deviatoric[k] - q);
+        // of what was free of stress, the difference would only be that of two measures of a large strain
+        lost[k] = select(if scratch.strained[i] > zero { released - excess } else { zero }, zero);
     }
     let count = block.len.saturating_sub(at).min(GROUP);
     let mut sum = 0.0;
