@@ -7,9 +7,8 @@ use super::observables::Scene;
 use super::regime::Indicators;
 use super::release::{ReleaseError, Slab};
 use super::scenario::{MESH_M, Quality, RunoutInputs, SnowInputs};
-use super::simulation::LIMITED_ABOVE;
 use super::terrain::{Terrain, TerrainError};
-use super::{RunoutError, Setup};
+use super::{LIMITED_ABOVE, RunoutError, Setup};
 
 /// Cells over the thickness of a slab, at least: fewer do not resolve it.
 pub const LEAST_CELLS: f64 = 4.0;

@@ -95,6 +95,12 @@ impl Observer {
         &self.seen
     }
 
+    /// All that was seen.
+    #[must_use]
+    pub fn into_seen(self) -> Observations {
+        self.seen
+    }
+
     /// Frames seen so far.
     #[must_use]
     pub fn frames(&self) -> usize {
