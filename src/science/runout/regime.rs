@@ -82,7 +82,7 @@ const THRESHOLDS: Thresholds = Thresholds {
     gap_mid: 0.05,
     broken_end: 0.05,
     gap_end: 0.02,
-    broken_mid: 0.1,
+    broken_mid: 0.13,
     cv_mid: 0.5,
 };
 
@@ -213,7 +213,7 @@ mod tests {
             (|c, v| c.mid.gap = v, [0.041, 0.059], cold_dense()),
             (|c, v| c.end.broken = v, [0.041, 0.059], plug),
             (|c, v| c.end.gap = v, [0.017, 0.023], plug),
-            (|c, v| c.mid.broken = v, [0.081, 0.119], slab),
+            (|c, v| c.mid.broken = v, [0.105, 0.155], slab),
             (|c, v| c.mid.cv = v, [0.41, 0.59], slab),
         ];
         for (change, near, base) in cases {
@@ -223,7 +223,7 @@ mod tests {
         }
         assert_eq!(with(|c, v| c.mid.slip = v, 0.55, cold_dense()), RegimeClass::ColdDense);
         assert_eq!(with(|c, v| c.mid.gap = v, 0.07, cold_dense()), RegimeClass::WarmShear);
-        assert_eq!(with(|c, v| c.mid.broken = v, 0.13, slab), RegimeClass::WarmShear);
+        assert_eq!(with(|c, v| c.mid.broken = v, 0.16, slab), RegimeClass::WarmShear);
     }
 
     #[test]
