@@ -108,8 +108,10 @@ struct Scratch<T> {
     deviatoric: [T; BLOCK],
     axis_xx: [T; BLOCK],
     axis_xz: [T; BLOCK],
-    /// Square of the elastic strains at the step's start: 0 of what carried no stress.
-    strained: [T; BLOCK],
+    /// Elastic left Cauchy-Green tensor at the step's start, less the identity.
+    old_xx: [T; BLOCK],
+    old_zz: [T; BLOCK],
+    old_xz: [T; BLOCK],
     yielding: [T; BLOCK],
     /// Kirchhoff stress.
     txx: [T; BLOCK],
@@ -138,7 +140,9 @@ impl<T: Real> Scratch<T> {
             deviatoric: zero,
             axis_xx: zero,
             axis_xz: zero,
-            strained: zero,
+            old_xx: zero,
+            old_zz: zero,
+            old_xz: zero,
             yielding: zero,
             txx: zero,
             tzz: zero,
@@ -277,11 +281,10 @@ fn advance<T: Real>(motion: &Motion<T>, place: &mut Place<T>) {
 #[inline(always)]
 fn trial<T: Real>(material: &Material<T>, block: &mut Block<T>, scratch: &mut Scratch<T>) {
     let (half, one) = (T::of(0.5), T::of(1.0));
-    let Scratch { motion, volumetric, deviatoric, axis_xx, axis_xz, strained, yielding, txx, tzz, txz, .. } =
-        scratch;
+    let Scratch { motion, volumetric, deviatoric, axis_xx, axis_xz, yielding, txx, tzz, txz, .. } = scratch;
+    (scratch.old_xx, scratch.old_zz, scratch.old_xz) = (block.bxx, block.bzz, block.bxz);
     for k in 0..BLOCK {
         let (xx, zz, xz) = (block.bxx[k], block.bzz[k], block.bxz[k]);
-        strained[k] = xx * xx + zz * zz + xz * xz;
         let (lxx, lxz, lzx, lzz) = (motion.lxx[k], motion.lxz[k], motion.lzx[k], motion.lzz[k]);
         // (I + L) b (I + L)^T - I = B + N + N^T + N L^T with B = b - I and N = L + L B: nothing is ever added to 1
         let (nxx, nxz) = (lxx + (lxx * xx + lxz * xz), lxz + (lxx * xz + lxz * zz));
@@ -344,7 +347,6 @@ fn plastic_return<T: Real>(
         }
     }
     let (axis_xx, axis_xz) = (window(&scratch.axis_xx), window(&scratch.axis_xz));
-    let motion = &scratch.motion;
     let mut lost = [zero; GROUP];
     for k in 0..GROUP {
         let out = yielding[k] > zero;
@@ -363,15 +365,17 @@ fn plastic_return<T: Real>(
         scratch.txx[i] = select(isotropic + deviator * axis_xx[k], scratch.txx[i]);
         scratch.tzz[i] = select(isotropic - deviator * axis_xx[k], scratch.tzz[i]);
         scratch.txz[i] = select(deviator * axis_xz[k], scratch.txz[i]);
-        // the mean of the stresses at the step's start and end does the plastic work; with that of the trial stress instead
-        // of the first, it would be the elastic energy that is lost
-        let released = material.energy(volumetric[k], deviatoric[k]) - material.energy(volume[k], q);
-        let (volume_rate, shear_rate) = (motion.lxx[i] + motion.lzz[i], motion.lxx[i] - motion.lzz[i]);
-        let along_axis = shear_rate * axis_xx[k] + (motion.lxz[i] + motion.lzx[i]) * axis_xz[k];
-        let excess = T::of(0.5) * material.bulk * volume_rate * plastic[k]
-            + T::of(0.5) * material.shear_2 * along_axis * (deviatoric[k] - q);
-        // of what was free of stress, the difference would only be that of two measures of a large strain
-        lost[k] = select(if scratch.strained[i] > zero { released - excess } else { zero }, zero);
+        // the mean of the stresses at the step's start and end does the plastic work; the logarithm of what was elastic then
+        // is that of a small strain: ln(I + B) = B - B^2 / 2
+        let (xx, zz, xz) = (scratch.old_xx[i], scratch.old_zz[i], scratch.old_xz[i]);
+        let half = T::of(0.5);
+        let old_xx = half * (xx - half * (xx * xx + xz * xz));
+        let old_zz = half * (zz - half * (zz * zz + xz * xz));
+        let old_xz = half * (xz - half * (xz * (xx + zz)));
+        let along_axis = half * (old_xx - old_zz) * axis_xx[k] + old_xz * axis_xz[k];
+        let isotropic = half * material.bulk * (old_xx + old_zz + volume[k]) * plastic[k];
+        let work = isotropic + material.shear_2 * (along_axis + q) * (deviatoric[k] - q);
+        lost[k] = select(work, zero);
     }
     let count = block.len.saturating_sub(at).min(GROUP);
     let mut sum = 0.0;
