@@ -28,7 +28,8 @@ struct Saved<T> {
     fastest: f64,
     ledger: Ledger,
     layout: Layout,
-    velocity: Vec<T>,
+    /// Velocities of the nodes.
+    velocity: Vec<[T; 2]>,
     particles: Vec<Particle<T>>,
     /// Velocities and gradients of all particles, or of none.
     motion: Vec<[T; 6]>,
@@ -58,7 +59,7 @@ pub(super) fn save<T: Real>(engine: &Engine<T>, setup: &Setup) -> Vec<u8> {
         fastest: engine.fastest,
         ledger: engine.ledger,
         layout: engine.layout.clone(),
-        velocity: engine.velocity.clone(),
+        velocity: engine.velocity.iter().map(|&[vx, vz, ..]| [vx, vz]).collect(),
         particles,
         motion: motion.collect(),
     };
@@ -86,7 +87,7 @@ pub(super) fn load<T: Real>(setup: &Setup, state: &[u8]) -> Result<Engine<T>, Ru
     }
     let fits = saved.layout.fits(&saved.particles, engine.frame.bed.len());
     let moving = saved.motion.is_empty() || saved.motion.len() == count;
-    if count == 0 || !fits || !moving || saved.velocity.len() != 2 * (saved.layout.nodes() + 4) {
+    if count == 0 || !fits || !moving || saved.velocity.len() != saved.layout.nodes() {
         return Err(RunoutError::Checkpoint("its parts do not fit each other"));
     }
     for span in &saved.layout.chunks {
@@ -96,7 +97,7 @@ pub(super) fn load<T: Real>(setup: &Setup, state: &[u8]) -> Result<Engine<T>, Ru
         engine.chunks.push(ChunkParticles { blocks, motion });
     }
     engine.adopt(saved.layout);
-    engine.velocity = saved.velocity;
+    engine.velocity = saved.velocity.iter().map(|&[vx, vz]| [vx, vz, vx, vz]).collect();
     (engine.drift, engine.fastest, engine.steps) = (saved.drift, saved.fastest, saved.steps);
     engine.ledger = saved.ledger;
     Ok(engine)

@@ -96,8 +96,8 @@ pub(super) struct Engine<T> {
     pub(super) layout: Layout,
     pub(super) chunks: Vec<ChunkParticles<T>>,
     pub(super) grids: Vec<ChunkGrid<T>>,
-    /// Velocities of the nodes along x and z, cells a step.
-    pub(super) velocity: Vec<T>,
+    /// Velocities of the nodes along x and z, twice, cells a step.
+    pub(super) velocity: Vec<[T; 4]>,
     /// Cells that a particle may have moved since the particles were sorted.
     pub(super) drift: f64,
     /// The largest velocity component on the grid, cells a step.
@@ -228,37 +228,37 @@ impl<T: Real> Engine<T> {
     }
 
     /// Measures what the coming transfer will lose; returns the velocities that it alone gives to the nodes.
-    fn audit(&mut self) -> Vec<T> {
+    fn audit(&mut self) -> Vec<[T; 4]> {
         let mut grids = std::mem::take(&mut self.grids);
         let step = self.step_input();
         self.chunks.par_iter().zip(&mut grids).for_each(|(chunk, grid)| T::audit(&step, &chunk.blocks, grid));
         self.grids = grids;
-        let mut velocity = vec![T::of(0.0); self.velocity.len()];
+        let mut velocity = vec![[T::of(0.0); 4]; self.velocity.len()];
         let transferred = self.reduce_into(&mut velocity, Stage::Transferred);
         self.ledger.transfer += AUDIT_STEPS as f64 * (self.ledger.grid - transferred.kinetic);
         velocity
     }
 
     /// Velocities of all nodes from what the chunks gave, after the forces; `transferred` are those before.
-    fn reduce(&mut self, transferred: Option<&[T]>) -> Reduced {
+    fn reduce(&mut self, transferred: Option<&[[T; 4]]>) -> Reduced {
         let mut velocity = std::mem::take(&mut self.velocity);
         let reduced = self.reduce_into(&mut velocity, Stage::Forced(transferred));
         self.velocity = velocity;
         reduced
     }
 
-    fn reduce_into(&self, velocity: &mut [T], stage: Stage<'_, T>) -> Reduced {
+    fn reduce_into(&self, velocity: &mut [[T; 4]], stage: Stage<'_, T>) -> Reduced {
         let Self { frame, layout, grids, .. } = self;
         let gravity = frame.gravity_m_s2 * frame.time_step_s * frame.time_step_s / frame.mesh_m;
         let mut rest = velocity;
         let mut parts = Vec::with_capacity(layout.chunks.len());
         for span in &layout.chunks {
             let [from, to] = span.columns.map(|column| layout.start[column as usize] as usize);
-            let (own, after) = rest.split_at_mut(2 * (to - from));
-            parts.push((2 * from..2 * to, own));
+            let (own, after) = rest.split_at_mut(to - from);
+            parts.push((from..to, own));
             rest = after;
         }
-        let of_chunk = |(chunk, (own, velocity)): (usize, (std::ops::Range<usize>, &mut [T]))| {
+        let of_chunk = |(chunk, (own, velocity)): (usize, (std::ops::Range<usize>, &mut [[T; 4]]))| {
             let stage = match stage {
                 Stage::Forced(Some(transferred)) => Stage::Forced(transferred.get(own)),
                 other => other,
@@ -305,7 +305,7 @@ impl<T: Real> Engine<T> {
         let mut chunks = Vec::new();
         order.place(&layout, self.blocks(), &mut chunks);
         self.chunks = chunks;
-        self.velocity = vec![T::of(0.0); 2 * (layout.nodes() + 4)];
+        self.velocity = vec![[T::of(0.0); 4]; layout.nodes()];
         self.adopt(layout);
         Ok(())
     }
@@ -342,10 +342,11 @@ fn give<T: Real>(layout: &Layout, block: &Block<T>, motion: &Motion<T>, k: usize
         for (j, &wz) in wz.iter().enumerate() {
             let (dx, dz) = (T::of(i as f64 - 1.0) - gx, T::of(j as f64 - 1.0) - gz);
             let node = layout.node(block.place.column[k] + i as i32 - 1, block.place.row[k] + j as i32 - 1);
-            let node = node - grid.first as usize;
-            grid.mass[node] += wx * wz;
-            grid.momentum[2 * node] += wx * wz * (motion.vx[k] + motion.lxx[k] * dx + motion.lxz[k] * dz);
-            grid.momentum[2 * node + 1] += wx * wz * (motion.vz[k] + motion.lzx[k] * dx + motion.lzz[k] * dz);
+            let w = wx * wz;
+            let node = &mut grid.nodes[node - grid.first as usize];
+            node[0] += w * (motion.vx[k] + motion.lxx[k] * dx + motion.lxz[k] * dz);
+            node[1] += w * (motion.vz[k] + motion.lzx[k] * dx + motion.lzz[k] * dz);
+            node[2] += w;
         }
     }
 }

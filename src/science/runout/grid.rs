@@ -143,18 +143,18 @@ impl Layout {
         self.chunks = chunks;
     }
 
-    /// Values of two numbers a node, brought from the layout `old` to this one; 0 where `old` has no node.
-    pub(super) fn carry<T: Real>(&self, old: &Self, values: &[T]) -> Vec<T> {
-        let mut out = vec![T::of(0.0); 2 * (self.nodes() + 4)];
+    /// Velocities of nodes, brought from the layout `old` to this one; 0 where `old` has no node.
+    pub(super) fn carry<T: Real>(&self, old: &Self, values: &[[T; 4]]) -> Vec<[T; 4]> {
+        let mut out = vec![[T::of(0.0); 4]; self.nodes()];
         for column in 0..self.lowest.len().min(old.lowest.len()) {
             let (new_span, old_span) = (self.column(column), old.column(column));
             let (new_low, old_low) = (self.lowest[column], old.lowest[column]);
             let low = new_low.max(old_low);
             let high = (new_low + new_span.len() as i32).min(old_low + old_span.len() as i32);
             if low < high && !new_span.is_empty() && !old_span.is_empty() {
-                let count = 2 * (high - low) as usize;
-                let to = 2 * (new_span.start + (low - new_low) as usize);
-                let from = 2 * (old_span.start + (low - old_low) as usize);
+                let count = (high - low) as usize;
+                let to = new_span.start + (low - new_low) as usize;
+                let from = old_span.start + (low - old_low) as usize;
                 out[to..to + count].copy_from_slice(&values[from..from + count]);
             }
         }
@@ -218,7 +218,7 @@ pub(super) enum Stage<'a, T> {
     Transferred,
     /// Their velocities after gravity and the bed. Where the velocities are known that they had before all forces of the
     /// step, those of stress included, the work of the bed is measured.
-    Forced(Option<&'a [T]>),
+    Forced(Option<&'a [[T; 4]]>),
 }
 
 /// What a chunk's nodes amount to; energies in particle masses times (cells a step)^2.
@@ -234,24 +234,24 @@ pub(super) struct Reduced {
 
 /// Kinetic energy and largest velocity component of nodes.
 #[inline(always)]
-fn tally<T: Real>(mass: &[T], velocity: &[T]) -> (f64, T) {
+fn tally<T: Real>(mass: &[T], velocity: &[[T; 4]]) -> (f64, T) {
     let (zero, half) = (T::of(0.0), T::of(0.5));
     let (mut energy, mut fastest) = ([zero; LANES], [zero; LANES]);
-    let mut add = |lane: usize, m: T, vx: T, vz: T| {
+    let mut add = |lane: usize, m: T, [vx, vz, ..]: [T; 4]| {
         let (ax, az) = (if vx > zero { vx } else { -vx }, if vz > zero { vz } else { -vz });
         energy[lane] += half * m * (vx * vx + vz * vz);
         let larger = if ax > az { ax } else { az };
         fastest[lane] = if larger > fastest[lane] { larger } else { fastest[lane] };
     };
-    let (masses, mass_rest) = mass.as_chunks::<LANES>();
-    let (velocities, velocity_rest) = velocity.as_chunks::<{ 2 * LANES }>();
+    let ((masses, mass_rest), (velocities, velocity_rest)) =
+        (mass.as_chunks::<LANES>(), velocity.as_chunks::<LANES>());
     for (m, v) in masses.iter().zip(velocities) {
         for lane in 0..LANES {
-            add(lane, m[lane], v[2 * lane], v[2 * lane + 1]);
+            add(lane, m[lane], v[lane]);
         }
     }
-    for (lane, (m, v)) in mass_rest.iter().zip(velocity_rest.chunks_exact(2)).enumerate() {
-        add(lane, *m, v[0], v[1]);
+    for (lane, (m, v)) in mass_rest.iter().zip(velocity_rest).enumerate() {
+        add(lane, *m, *v);
     }
     let sum = energy.iter().map(|e| e.f64()).sum();
     (sum, fastest.iter().fold(zero, |a, &b| if b > a { b } else { a }))
@@ -259,44 +259,37 @@ fn tally<T: Real>(mass: &[T], velocity: &[T]) -> (f64, T) {
 
 /// Adds the chunk grids over the columns of one chunk, makes velocities of momenta and applies gravity and the bed.
 ///
-/// `velocity` has the two components of the chunk's own nodes.
+/// `velocity` has the chunk's own nodes.
 #[inline(always)]
-fn reduce_nodes<T: Real>(input: &Reduction<'_, T>, velocity: &mut [T]) -> Reduced {
-    let Reduction { layout, chunk, grids, gravity, .. } = *input;
-    let span = &layout.chunks[chunk];
-    let (from, to) = (layout.start[span.columns[0] as usize] as usize, layout.start[span.columns[1] as usize] as usize);
-    let nodes = to - from;
-    let mut mass = vec![T::of(0.0); nodes];
-    velocity.fill(T::of(0.0));
+fn reduce_nodes<T: Real>(input: &Reduction<'_, T>, velocity: &mut [[T; 4]]) -> Reduced {
+    let Reduction { layout, chunk, grids, .. } = *input;
+    let columns = layout.chunks[chunk].columns.map(|column| column as usize);
+    let (from, to) = (layout.start[columns[0]] as usize, layout.start[columns[1]] as usize);
+    velocity.fill([T::of(0.0); 4]);
     for neighbour in chunk.saturating_sub(1)..(chunk + 2).min(grids.len()) {
-        let grid = &grids[neighbour];
         let [first, end] = layout.chunks[neighbour].nodes.map(|node| node as usize);
         let (low, high) = (first.max(from), end.min(to));
         if low >= high {
             continue;
         }
-        let (into, of) = (low - from..high - from, low - first..high - first);
-        for (sum, m) in mass[into.clone()].iter_mut().zip(&grid.mass[of.clone()]) {
-            *sum += *m;
-        }
-        let into = &mut velocity[2 * into.start..2 * into.end];
-        for (sum, p) in into.iter_mut().zip(&grid.momentum[2 * of.start..2 * of.end]) {
-            *sum += *p;
+        let given = &grids[neighbour].nodes[low - first..high - first];
+        for (sum, given) in velocity[low - from..high - from].iter_mut().zip(given) {
+            *sum = [sum[0] + given[0], sum[1] + given[1], sum[2] + given[2], T::of(0.0)];
         }
     }
     let (zero, one, tiny) = (T::of(0.0), T::of(1.0), T::of(1e-30));
-    for (v, &m) in velocity.as_chunks_mut::<2>().0.iter_mut().zip(&mass) {
-        let inverse = if m > tiny { one / m } else { zero };
-        *v = [v[0] * inverse, v[1] * inverse];
+    let gravity = if matches!(input.stage, Stage::Transferred) { zero } else { input.gravity };
+    let mut mass = vec![zero; velocity.len()];
+    for (v, mass) in velocity.iter_mut().zip(&mut mass) {
+        let [px, pz, m, _] = *v;
+        let (inverse, gravity) = if m > tiny { (one / m, gravity) } else { (zero, zero) };
+        let (vx, vz) = (px * inverse, pz * inverse - gravity);
+        *v = [vx, vz, vx, vz];
+        *mass = m;
     }
     let bed = match input.stage {
         Stage::Transferred => 0.0,
-        Stage::Forced(before) => {
-            for (v, &m) in velocity.as_chunks_mut::<2>().0.iter_mut().zip(&mass) {
-                v[1] = if m > tiny { v[1] - gravity } else { zero };
-            }
-            contact(input, velocity, &mass, before)
-        }
+        Stage::Forced(before) => contact(input, velocity, &mass, before),
     };
     let (kinetic, fastest) = tally(&mass, velocity);
     Reduced { kinetic, bed, fastest: fastest.f64() }
@@ -305,7 +298,12 @@ fn reduce_nodes<T: Real>(input: &Reduction<'_, T>, velocity: &mut [T]) -> Reduce
 /// Lets the nodes inside of the bed meet it; returns the energy that is lost where the velocities `before` all forces are
 /// known.
 #[inline(always)]
-fn contact<T: Real>(input: &Reduction<'_, T>, velocity: &mut [T], mass: &[T], before: Option<&[T]>) -> f64 {
+fn contact<T: Real>(
+    input: &Reduction<'_, T>,
+    velocity: &mut [[T; 4]],
+    mass: &[T],
+    before: Option<&[[T; 4]]>,
+) -> f64 {
     let Reduction { layout, chunk, .. } = *input;
     let columns = layout.chunks[chunk].columns.map(|column| column as usize);
     let from = layout.start[columns[0]] as usize;
@@ -314,12 +312,12 @@ fn contact<T: Real>(input: &Reduction<'_, T>, velocity: &mut [T], mass: &[T], be
         let rows = layout.column(column);
         let inside = (input.bed[column].row - layout.lowest[column] + 1).clamp(0, rows.len() as i32) as usize;
         for node in rows.start - from..rows.start - from + inside {
-            let free = [velocity[2 * node], velocity[2 * node + 1]];
+            let free = [velocity[node][0], velocity[node][1]];
             let held = meet(free, &input.bed[column], input.friction, input.sticky);
-            velocity[2 * node..2 * node + 2].copy_from_slice(&held);
+            velocity[node] = [held[0], held[1], held[0], held[1]];
             if let Some(before) = before {
-                let work = (held[0] - free[0]) * (held[0] + before[2 * node])
-                    + (held[1] - free[1]) * (held[1] + before[2 * node + 1]);
+                let work = (held[0] - free[0]) * (held[0] + before[node][0])
+                    + (held[1] - free[1]) * (held[1] + before[node][1]);
                 lost -= 0.5 * (mass[node] * work).f64();
             }
         }
@@ -356,7 +354,7 @@ macro_rules! dispatched {
     ($t:ty, $reduce:ident) => {
         /// [`reduce_nodes`] at the widest instructions of this machine.
         #[multiversion(targets("x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2", "x86_64+avx2+bmi1+bmi2"))]
-        pub(super) fn $reduce(input: &Reduction<'_, $t>, velocity: &mut [$t]) -> Reduced {
+        pub(super) fn $reduce(input: &Reduction<'_, $t>, velocity: &mut [[$t; 4]]) -> Reduced {
             reduce_nodes(input, velocity)
         }
     };

@@ -31,6 +31,9 @@ pub(super) trait Real:
     + AddAssign
     + 'static
 {
+    /// Four of them in a register.
+    type V: super::vector::Vector<Self>;
+
     /// Newton steps after which a plastic return has converged to this precision, from any trial stress.
     const NEWTON_STEPS: usize;
 
@@ -63,7 +66,7 @@ pub(super) trait Real:
     fn audit(audit: &Audit<'_, Self>, blocks: &[Block<Self>], grid: &mut ChunkGrid<Self>);
 
     /// Velocities of the nodes of a chunk: see [`super::grid::reduce`].
-    fn reduce(reduction: &Reduction<'_, Self>, velocity: &mut [Self]) -> super::grid::Reduced;
+    fn reduce(reduction: &Reduction<'_, Self>, velocity: &mut [[Self; 4]]) -> super::grid::Reduced;
 }
 
 /// `ln 2`.
@@ -102,11 +105,13 @@ pub(super) fn min<T: Real>(a: T, b: T) -> T {
 
 macro_rules! real {
     (
-        $t:ident, $signed:ident, $mantissa:literal, $bias:literal, $round:literal, $newton:literal,
+        $t:ident, $vector:ident, $signed:ident, $mantissa:literal, $bias:literal, $round:literal, $newton:literal,
         atanh $atanh:expr, exp $exp:expr, ln_2 ($high:expr, $low:expr),
         $step:ident, $audit:ident, $reduce:ident
     ) => {
         impl Real for $t {
+            type V = wide::$vector;
+
             const NEWTON_STEPS: usize = $newton;
 
             #[inline(always)]
@@ -176,7 +181,7 @@ macro_rules! real {
                 super::transfer::$audit(audit, blocks, grid)
             }
 
-            fn reduce(reduction: &Reduction<'_, $t>, velocity: &mut [$t]) -> super::grid::Reduced {
+            fn reduce(reduction: &Reduction<'_, $t>, velocity: &mut [[$t; 4]]) -> super::grid::Reduced {
                 super::grid::$reduce(reduction, velocity)
             }
         }
@@ -186,14 +191,14 @@ macro_rules! real {
 // Taylor series from the last term on: atanh(s)/s = 1 + z/3 + z^2/5 ..., (exp(r) - 1 - r)/r^2 = 1/2 + r/6 + ... with
 // |r| <= ln 2 / 2; ln 2 in two parts, of which the first times a small integer is exact (Cody & Waite 1980)
 real!(
-    f32, i32, 23, 127, 12_582_912.0, 5,
+    f32, f32x4, i32, 23, 127, 12_582_912.0, 5,
     atanh [1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0],
     exp [1.0 / 5_040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5],
     ln_2 (0.693_359_375, -2.121_944_4e-4),
     step_f32, audit_f32, reduce_f32
 );
 real!(
-    f64, i64, 52, 1023, 6_755_399_441_055_744.0, 7,
+    f64, f64x4, i64, 52, 1023, 6_755_399_441_055_744.0, 7,
     atanh [
         1.0 / 21.0, 1.0 / 19.0, 1.0 / 17.0, 1.0 / 15.0, 1.0 / 13.0, 1.0 / 11.0, 1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0
     ],

@@ -214,12 +214,6 @@ impl<T: Real> Material<T> {
         p * p + (q * q - r * r)
     }
 
-    /// Elastic energy density of strains, in the units of stress.
-    #[inline(always)]
-    pub(super) fn energy(&self, volumetric: T, deviatoric: T) -> T {
-        T::of(0.5) * self.bulk * (volumetric * volumetric) + self.shear_2 * (deviatoric * deviatoric)
-    }
-
     /// `p` and `q` with the centre of the yield surface at 0 and its half-axes 1; and its half-axis along p and centre.
     #[inline(always)]
     fn normalised(&self, volumetric: T, deviatoric: T, strength: T) -> (T, T, T, T) {

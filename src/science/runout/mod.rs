@@ -26,6 +26,7 @@ mod simulation;
 pub mod snapshot;
 pub mod terrain;
 mod transfer;
+mod vector;
 
 pub use error::{Dump, ParticleState, RunoutError};
 pub use simulation::{Advance, Contact, GRAVITY_M_S2, LIMITED_ABOVE, Precision, Setup, Simulation};

@@ -33,8 +33,8 @@ fn motion_of_grid<T: Real>(engine: &Engine<T>, block: &Block<T>) -> Motion<T> {
                 let (di, dj) = (i as i32 - 1, j as i32 - 1);
                 let column = (block.place.column[k] + di) as usize;
                 let Some(offset) = engine.layout.offset.get(column) else { continue };
-                let node = 2 * (offset + block.place.row[k] + dj) as usize;
-                let Some(&[vx, vz]) = engine.velocity.get(node..).and_then(|rest| rest.first_chunk()) else { continue };
+                let node = (offset + block.place.row[k] + dj) as usize;
+                let Some(&[vx, vz, ..]) = engine.velocity.get(node) else { continue };
                 let (w, dx, dz) = (wx * wz, T::of(f64::from(di)) - gx, T::of(f64::from(dj)) - gz);
                 motion.vx[k] += w * vx;
                 motion.vz[k] += w * vz;

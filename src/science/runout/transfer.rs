@@ -1,8 +1,8 @@
 //! Particles to grid and back in one pass over the particles: quadratic B-splines and APIC (Jiang et al. 2015, ACM Trans.
 //! Graph. 34, 51) with the stress in its moving-least-squares form (Hu et al. 2018, ACM Trans. Graph. 37, 150).
 //!
-//! A particle's nine nodes are three columns of three; the nodes of a column lie side by side, so a column is one row of
-//! eight numbers: two components of three nodes, and two that are weighted with zero.
+//! A node is four numbers. Of velocity: (x, z), twice, so that sums and moments are made in one register. Of what is given:
+//! momentum along x and z, mass, and nothing.
 
 use multiversion::multiversion;
 
@@ -10,10 +10,9 @@ use super::{
     lanes::{Real, ln_1p_pair, max, min},
     material::Material,
     particles::{BLOCK, Block, Place},
+    vector::Vector,
 };
 
-/// Numbers of a column of three nodes, with two that do not count.
-const COLUMN: usize = 8;
 /// Lanes that go through the plastic return together.
 const GROUP: usize = 16;
 
@@ -22,10 +21,8 @@ const GROUP: usize = 16;
 pub(super) struct ChunkGrid<T> {
     /// Number of the first node.
     pub(super) first: i32,
-    /// Momentum of each node: along x, along z. One node and a column more than there are.
-    pub(super) momentum: Vec<T>,
-    /// Mass of each node, in particles.
-    pub(super) mass: Vec<T>,
+    /// Momentum along x and z, mass in particles, and 0 of each node.
+    pub(super) nodes: Vec<[T; 4]>,
     /// Plastic work, in the units of stress.
     pub(super) plastic: f64,
     /// Particles that were not where the layout of the grid has them: a defect of the caller.
@@ -35,19 +32,16 @@ pub(super) struct ChunkGrid<T> {
 impl<T: Real> ChunkGrid<T> {
     /// Nodes `first..end`, empty.
     pub(super) fn new(first: usize, end: usize) -> Self {
-        let nodes = end - first + COLUMN;
         Self {
             first: i32::try_from(first).unwrap_or(i32::MAX),
-            momentum: vec![T::of(0.0); 2 * nodes],
-            mass: vec![T::of(0.0); nodes],
+            nodes: vec![[T::of(0.0); 4]; end - first],
             plastic: 0.0,
             lost: 0,
         }
     }
 
     fn clear(&mut self) {
-        self.momentum.fill(T::of(0.0));
-        self.mass.fill(T::of(0.0));
+        self.nodes.fill([T::of(0.0); 4]);
         self.plastic = 0.0;
         self.lost = 0;
     }
@@ -77,8 +71,8 @@ impl<T: Real> Default for Motion<T> {
 /// What every chunk of a step reads.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step<'a, T> {
-    /// Velocities of the nodes along x and z, cells a step.
-    pub(super) velocity: &'a [T],
+    /// Velocities of the nodes along x and z, twice, cells a step.
+    pub(super) velocity: &'a [[T; 4]],
     /// For every column the number of its node at row 0, were there one.
     pub(super) offset: &'a [i32],
     pub(super) material: &'a Material<T>,
@@ -93,59 +87,60 @@ pub(super) type Audit<'a, T> = Step<'a, T>;
 #[repr(C, align(64))]
 struct Scratch<T> {
     motion: Motion<T>,
-    /// Sums over a column's nodes, [below + above (x, z), middle (x, z)], of all columns and of right minus left.
-    sums: [T; 4 * BLOCK],
-    across: [T; 4 * BLOCK],
-    /// Above minus below (x, z) of all columns.
-    along: [T; 2 * BLOCK],
-    /// Weights of the three columns.
-    weight: [[T; BLOCK]; 3],
+    /// Velocity (x, z) and its moment along z (x, z): weighted sum, and above minus below.
+    sums: [[T; 4]; BLOCK],
+    /// Its moment along x: right minus left (x, z).
+    across: [[T; 4]; BLOCK],
+    /// Weights of the three columns and the three rows.
+    weight: [[T; BLOCK]; 6],
     /// Smallest and largest velocities of the nine nodes.
-    lowest: [[T; BLOCK]; 2],
-    highest: [[T; BLOCK]; 2],
+    lowest: [[T; 4]; BLOCK],
+    highest: [[T; 4]; BLOCK],
     /// Elastic strains and the direction of the deviatoric one.
     volumetric: [T; BLOCK],
     deviatoric: [T; BLOCK],
     axis_xx: [T; BLOCK],
     axis_xz: [T; BLOCK],
-    /// Square of the elastic strains at the step's start: 0 of what carried no stress.
-    strained: [T; BLOCK],
+    /// Elastic left Cauchy-Green tensor at the step's start, less the identity.
+    old_xx: [T; BLOCK],
+    old_zz: [T; BLOCK],
+    old_xz: [T; BLOCK],
     yielding: [T; BLOCK],
     /// Kirchhoff stress.
     txx: [T; BLOCK],
     tzz: [T; BLOCK],
     txz: [T; BLOCK],
-    /// What is scattered: velocity at the nearest node, and the slopes along x and z, each (x, z).
-    at_node: [T; 2 * BLOCK],
-    slope_x: [T; 2 * BLOCK],
-    slope_z: [T; 2 * BLOCK],
+    /// What is scattered: velocity at the nearest node and a mass of 1, and the slopes of the velocity along x and z.
+    at_node: [[T; 4]; BLOCK],
+    slope_x: [[T; 4]; BLOCK],
+    slope_z: [[T; 4]; BLOCK],
 }
 
 impl<T: Real> Scratch<T> {
     fn new() -> Self {
         let zero = [T::of(0.0); BLOCK];
-        let pairs = [T::of(0.0); 2 * BLOCK];
-        let fours = [T::of(0.0); 4 * BLOCK];
+        let fours = [[T::of(0.0); 4]; BLOCK];
         Self {
             motion: Motion::default(),
             sums: fours,
             across: fours,
-            along: pairs,
-            weight: [zero; 3],
-            lowest: [zero; 2],
-            highest: [zero; 2],
+            weight: [zero; 6],
+            lowest: fours,
+            highest: fours,
             volumetric: zero,
             deviatoric: zero,
             axis_xx: zero,
             axis_xz: zero,
-            strained: zero,
+            old_xx: zero,
+            old_zz: zero,
+            old_xz: zero,
             yielding: zero,
             txx: zero,
             tzz: zero,
             txz: zero,
-            at_node: pairs,
-            slope_x: pairs,
-            slope_z: pairs,
+            at_node: fours,
+            slope_x: fours,
+            slope_z: fours,
         }
     }
 }
@@ -158,32 +153,6 @@ pub(super) fn weights<T: Real>(g: T) -> [T; 3] {
     [half * a * a, T::of(0.75) - g * g, half * b * b]
 }
 
-/// The weights of a column's nodes, each twice, then two zeros: polynomials in the offset, so that they need no shuffling.
-#[inline(always)]
-fn row_weights<T: Real>(g: T) -> [T; COLUMN] {
-    const CONSTANT: [f64; COLUMN] = [0.125, 0.125, 0.75, 0.75, 0.125, 0.125, 0.0, 0.0];
-    const LINEAR: [f64; COLUMN] = [-0.5, -0.5, 0.0, 0.0, 0.5, 0.5, 0.0, 0.0];
-    const SQUARE: [f64; COLUMN] = [0.5, 0.5, -1.0, -1.0, 0.5, 0.5, 0.0, 0.0];
-    let mut w = [g; COLUMN];
-    for l in 0..COLUMN {
-        w[l] = (T::of(SQUARE[l]) * g + T::of(LINEAR[l])) * g + T::of(CONSTANT[l]);
-    }
-    w
-}
-
-/// The same for the masses of a column: three weights and a zero.
-#[inline(always)]
-fn mass_weights<T: Real>(g: T) -> [T; 4] {
-    const CONSTANT: [f64; 4] = [0.125, 0.75, 0.125, 0.0];
-    const LINEAR: [f64; 4] = [-0.5, 0.0, 0.5, 0.0];
-    const SQUARE: [f64; 4] = [0.5, -1.0, 0.5, 0.0];
-    let mut w = [g; 4];
-    for l in 0..4 {
-        w[l] = (T::of(SQUARE[l]) * g + T::of(LINEAR[l])) * g + T::of(CONSTANT[l]);
-    }
-    w
-}
-
 /// Numbers of the lowest of a particle's nodes in its three columns, less `first`.
 #[inline(always)]
 fn bases(offset: &[i32], column: i32, row: i32, first: i32) -> Option<[usize; 3]> {
@@ -193,51 +162,47 @@ fn bases(offset: &[i32], column: i32, row: i32, first: i32) -> Option<[usize; 3]
     Some([(columns[0] + row) as usize, (columns[1] + row) as usize, (columns[2] + row) as usize])
 }
 
-/// Eight numbers from node `base` on.
+/// The three nodes from number `base` on.
 #[inline(always)]
-fn column_at<T>(values: &[T], base: usize) -> Option<&[T; COLUMN]> {
-    values.get(2 * base..)?.first_chunk()
+fn three<T>(nodes: &[[T; 4]], base: usize) -> Option<&[[T; 4]; 3]> {
+    nodes.get(base..)?.first_chunk()
 }
 
 #[inline(always)]
-fn column_weights<T: Real>(place: &Place<T>, weight: &mut [[T; BLOCK]; 3]) {
-    let [left, middle, right] = weight;
+fn all_weights<T: Real>(place: &Place<T>, weight: &mut [[T; BLOCK]; 6]) {
+    let [left, middle, right, below, level, above] = weight;
     for k in 0..BLOCK {
         [left[k], middle[k], right[k]] = weights(place.gx[k]);
+        [below[k], level[k], above[k]] = weights(place.gz[k]);
     }
 }
 
 /// Sums over the nodes of every particle, from which velocities and gradients follow; returns how many had no nodes.
 #[inline(always)]
 fn gather<T: Real>(step: &Step<'_, T>, place: &Place<T>, scratch: &mut Scratch<T>) -> u32 {
-    column_weights(place, &mut scratch.weight);
+    all_weights(place, &mut scratch.weight);
     let mut lost = 0;
     for k in 0..BLOCK {
-        let Some([left, middle, right]) = bases(step.offset, place.column[k], place.row[k], 0) else {
+        let Some(bases) = bases(step.offset, place.column[k], place.row[k], 0) else {
             lost += 1;
             continue;
         };
         let columns =
-            (column_at(step.velocity, left), column_at(step.velocity, middle), column_at(step.velocity, right));
+            (three(step.velocity, bases[0]), three(step.velocity, bases[1]), three(step.velocity, bases[2]));
         let (Some(left), Some(middle), Some(right)) = columns else {
             lost += 1;
             continue;
         };
-        let row = row_weights(place.gz[k]);
-        let weight = [scratch.weight[0][k], scratch.weight[1][k], scratch.weight[2][k]];
-        let (mut sum, mut across) = ([T::of(0.0); COLUMN], [T::of(0.0); COLUMN]);
-        for l in 0..COLUMN {
-            let (a, b, c) = (weight[0] * left[l], weight[1] * middle[l], weight[2] * right[l]);
-            sum[l] = row[l] * ((a + c) + b);
-            across[l] = row[l] * (c - a);
-        }
-        for l in 0..4 {
-            scratch.sums[4 * k + l] = sum[l] + sum[l + 4];
-            scratch.across[4 * k + l] = across[l] + across[l + 4];
-        }
-        for l in 0..2 {
-            scratch.along[2 * k + l] = sum[l + 4] - sum[l];
-        }
+        let weight = |i: usize| T::V::splat(scratch.weight[i][k]);
+        // of a column: (sum, above minus below)
+        let rows = [weight(3).flip_upper(), weight(4).lower(), weight(5)];
+        let sum = |nodes: &[[T; 4]; 3]| {
+            let [below, level, above] = [T::V::load(&nodes[0]), T::V::load(&nodes[1]), T::V::load(&nodes[2])];
+            rows[0].mul(below).add(rows[2].mul(above)).add(rows[1].mul(level))
+        };
+        let (left, middle, right) = (weight(0).mul(sum(left)), weight(1).mul(sum(middle)), weight(2).mul(sum(right)));
+        left.add(right).add(middle).store(&mut scratch.sums[k]);
+        right.sub(left).store(&mut scratch.across[k]);
     }
     lost
 }
@@ -245,18 +210,17 @@ fn gather<T: Real>(step: &Step<'_, T>, place: &Place<T>, scratch: &mut Scratch<T
 /// Velocities and gradients from the sums.
 #[inline(always)]
 fn rates<T: Real>(place: &Place<T>, scratch: &mut Scratch<T>) {
-    let Scratch { motion, sums, across, along, .. } = scratch;
+    let Scratch { motion, sums, across, .. } = scratch;
     let four = T::of(4.0);
     for k in 0..BLOCK {
-        let (vx, vz) = (sums[4 * k] + sums[4 * k + 2], sums[4 * k + 1] + sums[4 * k + 3]);
-        let (ax, az) = (across[4 * k] + across[4 * k + 2], across[4 * k + 1] + across[4 * k + 3]);
+        let ([vx, vz, above_x, above_z], [right_x, right_z, ..]) = (sums[k], across[k]);
         let (gx, gz) = (place.gx[k], place.gz[k]);
         motion.vx[k] = vx;
         motion.vz[k] = vz;
-        motion.lxx[k] = four * (ax - gx * vx);
-        motion.lzx[k] = four * (az - gx * vz);
-        motion.lxz[k] = four * (along[2 * k] - gz * vx);
-        motion.lzz[k] = four * (along[2 * k + 1] - gz * vz);
+        motion.lxx[k] = four * (right_x - gx * vx);
+        motion.lzx[k] = four * (right_z - gx * vz);
+        motion.lxz[k] = four * (above_x - gz * vx);
+        motion.lzz[k] = four * (above_z - gz * vz);
     }
 }
 
@@ -277,11 +241,10 @@ fn advance<T: Real>(motion: &Motion<T>, place: &mut Place<T>) {
 #[inline(always)]
 fn trial<T: Real>(material: &Material<T>, block: &mut Block<T>, scratch: &mut Scratch<T>) {
     let (half, one) = (T::of(0.5), T::of(1.0));
-    let Scratch { motion, volumetric, deviatoric, axis_xx, axis_xz, strained, yielding, txx, tzz, txz, .. } =
-        scratch;
+    let Scratch { motion, volumetric, deviatoric, axis_xx, axis_xz, yielding, txx, tzz, txz, .. } = scratch;
+    (scratch.old_xx, scratch.old_zz, scratch.old_xz) = (block.bxx, block.bzz, block.bxz);
     for k in 0..BLOCK {
         let (xx, zz, xz) = (block.bxx[k], block.bzz[k], block.bxz[k]);
-        strained[k] = xx * xx + zz * zz + xz * xz;
         let (lxx, lxz, lzx, lzz) = (motion.lxx[k], motion.lxz[k], motion.lzx[k], motion.lzz[k]);
         // (I + L) b (I + L)^T - I = B + N + N^T + N L^T with B = b - I and N = L + L B: nothing is ever added to 1
         let (nxx, nxz) = (lxx + (lxx * xx + lxz * xz), lxz + (lxx * xz + lxz * zz));
@@ -344,7 +307,6 @@ fn plastic_return<T: Real>(
         }
     }
     let (axis_xx, axis_xz) = (window(&scratch.axis_xx), window(&scratch.axis_xz));
-    let motion = &scratch.motion;
     let mut lost = [zero; GROUP];
     for k in 0..GROUP {
         let out = yielding[k] > zero;
@@ -363,15 +325,17 @@ fn plastic_return<T: Real>(
         scratch.txx[i] = select(isotropic + deviator * axis_xx[k], scratch.txx[i]);
         scratch.tzz[i] = select(isotropic - deviator * axis_xx[k], scratch.tzz[i]);
         scratch.txz[i] = select(deviator * axis_xz[k], scratch.txz[i]);
-        // the mean of the stresses at the step's start and end does the plastic work; with that of the trial stress instead
-        // of the first, it would be the elastic energy that is lost
-        let released = material.energy(volumetric[k], deviatoric[k]) - material.energy(volume[k], q);
-        let (volume_rate, shear_rate) = (motion.lxx[i] + motion.lzz[i], motion.lxx[i] - motion.lzz[i]);
-        let along_axis = shear_rate * axis_xx[k] + (motion.lxz[i] + motion.lzx[i]) * axis_xz[k];
-        let excess = T::of(0.5) * material.bulk * volume_rate * plastic[k]
-            + T::of(0.5) * material.shear_2 * along_axis * (deviatoric[k] - q);
-        // of what was free of stress, the difference would only be that of two measures of a large strain
-        lost[k] = select(if scratch.strained[i] > zero { released - excess } else { zero }, zero);
+        // the mean of the stresses at the step's start and end does the plastic work; the logarithm of what was elastic then
+        // is that of a small strain: ln(I + B) = B - B^2 / 2
+        let (xx, zz, xz) = (scratch.old_xx[i], scratch.old_zz[i], scratch.old_xz[i]);
+        let half = T::of(0.5);
+        let old_xx = half * (xx - half * (xx * xx + xz * xz));
+        let old_zz = half * (zz - half * (zz * zz + xz * xz));
+        let old_xz = half * (xz - half * (xz * (xx + zz)));
+        let along_axis = half * (old_xx - old_zz) * axis_xx[k] + old_xz * axis_xz[k];
+        let isotropic = half * material.bulk * (old_xx + old_zz + volume[k]) * plastic[k];
+        let work = isotropic + material.shear_2 * (along_axis + q) * (deviatoric[k] - q);
+        lost[k] = select(work, zero);
     }
     let count = block.len.saturating_sub(at).min(GROUP);
     let mut sum = 0.0;
@@ -384,18 +348,18 @@ fn plastic_return<T: Real>(
 /// What is scattered of velocities, gradients and stresses, at the new place.
 #[inline(always)]
 fn prepare<T: Real>(place: &Place<T>, scratch: &mut Scratch<T>) {
-    column_weights(place, &mut scratch.weight);
+    all_weights(place, &mut scratch.weight);
     let Scratch { motion, txx, tzz, txz, at_node, slope_x, slope_z, .. } = scratch;
+    let (zero, one) = (T::of(0.0), T::of(1.0));
     for k in 0..BLOCK {
         let (axx, azx) = (motion.lxx[k] - txx[k], motion.lzx[k] - txz[k]);
         let (axz, azz) = (motion.lxz[k] - txz[k], motion.lzz[k] - tzz[k]);
         let (gx, gz) = (place.gx[k], place.gz[k]);
-        at_node[2 * k] = motion.vx[k] - (axx * gx + axz * gz);
-        at_node[2 * k + 1] = motion.vz[k] - (azx * gx + azz * gz);
-        slope_x[2 * k] = axx;
-        slope_x[2 * k + 1] = azx;
-        slope_z[2 * k] = axz;
-        slope_z[2 * k + 1] = azz;
+        let vx = motion.vx[k] - (axx * gx + axz * gz);
+        let vz = motion.vz[k] - (azx * gx + azz * gz);
+        at_node[k] = [vx, vz, one, zero];
+        slope_x[k] = [axx, azx, zero, zero];
+        slope_z[k] = [axz, azz, zero, zero];
     }
 }
 
@@ -411,7 +375,6 @@ fn scatter<T: Real>(
     scratch: &Scratch<T>,
     grid: &mut ChunkGrid<T>,
 ) -> u32 {
-    const SIDE: [f64; COLUMN] = [-1.0, -1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0];
     let mut lost = 0;
     for visit in 0..BLOCK {
         let k = (visit % 4) * (BLOCK / 4) + visit / 4;
@@ -422,38 +385,32 @@ fn scatter<T: Real>(
             lost += 1;
             continue;
         };
-        let row = row_weights(place.gz[k]);
-        let masses = mass_weights(place.gz[k]);
-        let weight = [scratch.weight[0][k], scratch.weight[1][k], scratch.weight[2][k]];
-        let at_node = [scratch.at_node[2 * k], scratch.at_node[2 * k + 1]];
-        let slope_x = [scratch.slope_x[2 * k], scratch.slope_x[2 * k + 1]];
-        let slope_z = [scratch.slope_z[2 * k], scratch.slope_z[2 * k + 1]];
-        let (mut middle, mut side) = ([T::of(0.0); COLUMN], [T::of(0.0); COLUMN]);
-        for l in 0..COLUMN {
-            middle[l] = row[l] * (at_node[l % 2] + T::of(SIDE[l]) * slope_z[l % 2]);
-            side[l] = row[l] * slope_x[l % 2];
-        }
-        for (c, &base) in bases.iter().enumerate() {
-            let momentum = grid.momentum.get_mut(2 * base..).and_then(|rest| rest.first_chunk_mut::<COLUMN>());
-            let mass = grid.mass.get_mut(base..).and_then(|rest| rest.first_chunk_mut::<4>());
-            let (Some(momentum), Some(mass)) = (momentum, mass) else {
-                lost += 1;
-                continue;
-            };
-            for l in 0..COLUMN {
-                let value = match c {
-                    0 => middle[l] - side[l],
-                    1 => middle[l],
-                    _ => middle[l] + side[l],
-                };
-                momentum[l] += weight[c] * value;
-            }
-            for l in 0..4 {
-                mass[l] += weight[c] * masses[l];
-            }
-        }
+        let weight = |i: usize| T::V::splat(scratch.weight[i][k]);
+        let at_node = T::V::load(&scratch.at_node[k]);
+        let (slope_x, slope_z) = (T::V::load(&scratch.slope_x[k]), T::V::load(&scratch.slope_z[k]));
+        let rows = [weight(3), weight(4), weight(5)];
+        let mut add = |base: usize, weight: T::V, level: T::V| {
+            add_column(&mut grid.nodes, base, rows, weight.mul(level), weight.mul(slope_z))
+        };
+        // written out: a loop would go through memory
+        lost += add(bases[0], weight(0), at_node.sub(slope_x));
+        lost += add(bases[1], weight(1), at_node);
+        lost += add(bases[2], weight(2), at_node.add(slope_x));
     }
     lost
+}
+
+/// Adds to the three nodes from `base` on `level`, less and plus `slope` below and above, with the weights of the rows;
+/// returns 1 where there are no such nodes.
+#[inline(always)]
+fn add_column<T: Real>(nodes: &mut [[T; 4]], base: usize, rows: [T::V; 3], level: T::V, slope: T::V) -> u32 {
+    let Some([below, middle, above]) = nodes.get_mut(base..).and_then(|rest| rest.first_chunk_mut::<3>()) else {
+        return 1;
+    };
+    T::V::load(below).add(rows[0].mul(level.sub(slope))).store(below);
+    T::V::load(middle).add(rows[1].mul(level)).store(middle);
+    T::V::load(above).add(rows[2].mul(level.add(slope))).store(above);
+    0
 }
 
 /// The particles' velocities from the grid, their deformation, stress and new places, and what they give to the grid again.
@@ -527,8 +484,8 @@ fn limit<T: Real>(step: &Step<'_, T>, block: &Block<T>, scratch: &mut Scratch<T>
             let up = max(right, left) + max(above, below);
             let down = min(right, left) + min(above, below);
             let tiny = T::of(1e-20);
-            let up = max(highest[component][k] - v[k], zero) / max(up, tiny);
-            let down = min(lowest[component][k] - v[k], zero) / min(down, -tiny);
+            let up = max(highest[k][component] - v[k], zero) / max(up, tiny);
+            let down = min(lowest[k][component] - v[k], zero) / min(down, -tiny);
             let limited = block.plastic_strain[k] > step.limited_above;
             let scale = if limited { min(min(up, down), one) } else { one };
             lx[k] = lx[k] * scale;
@@ -541,17 +498,16 @@ fn limit<T: Real>(step: &Step<'_, T>, block: &Block<T>, scratch: &mut Scratch<T>
 #[inline(always)]
 fn extremes<T: Real>(step: &Step<'_, T>, place: &Place<T>, k: usize, scratch: &mut Scratch<T>) {
     let Some([left, middle, right]) = bases(step.offset, place.column[k], place.row[k], 0) else { return };
-    let columns = (column_at(step.velocity, left), column_at(step.velocity, middle), column_at(step.velocity, right));
+    let columns = (three(step.velocity, left), three(step.velocity, middle), three(step.velocity, right));
     let (Some(left), Some(middle), Some(right)) = columns else { return };
-    let (mut low, mut high) = (*middle, *middle);
-    for l in 0..COLUMN {
-        low[l] = min(min(left[l], right[l]), middle[l]);
-        high[l] = max(max(left[l], right[l]), middle[l]);
+    let first = T::V::load(&middle[1]);
+    let (mut low, mut high) = (first, first);
+    for node in left.iter().chain(middle).chain(right) {
+        let node = T::V::load(node);
+        (low, high) = (node.min(low), node.max(high));
     }
-    for c in 0..2 {
-        scratch.lowest[c][k] = min(min(low[c], low[c + 2]), low[c + 4]);
-        scratch.highest[c][k] = max(max(high[c], high[c + 2]), high[c + 4]);
-    }
+    low.store(&mut scratch.lowest[k]);
+    high.store(&mut scratch.highest[k]);
 }
 
 macro_rules! dispatched {
