@@ -112,6 +112,13 @@ impl Progress for Control {
         state.report.rate_unit = Some(unit.to_owned());
     }
 
+    fn work(&self, done: f64, unit: &str) {
+        let seconds = self.state().begun.elapsed().as_secs_f64();
+        if seconds > 0.0 {
+            self.rate(done / seconds, unit);
+        }
+    }
+
     fn cancelled(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }

@@ -16,6 +16,11 @@ pub trait Progress: Sync {
         let _ = (per_second, unit);
     }
 
+    /// Says how much work this attempt has done so far, in `unit`: whoever runs it has a clock and knows how fast it goes.
+    fn work(&self, done: f64, unit: &str) {
+        let _ = (done, unit);
+    }
+
     /// Offers to save the state; `state` is called only where it is time to, so that offering often costs nothing.
     ///
     /// What it returns is what [`Progress::resumed`] of a later attempt gives back.

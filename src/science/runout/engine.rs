@@ -1,0 +1,431 @@
+//! The dynamics: explicit symplectic steps of particles and grid, in units of cells and steps.
+//!
+//! Between two steps the engine holds the particles at time `n` and the grid velocities that move them to `n + 1`.
+
+use rayon::prelude::*;
+
+use super::{
+    grid::{BedColumn, DRIFT, Layout, NoLayout, Reduced, Reduction, Stage},
+    lanes::Real,
+    material::Material,
+    particles::{BLOCK, Block, Particle},
+    transfer::{ChunkGrid, Motion, Step, weights},
+};
+
+/// Every so many steps the losses of the transfer and at the bed are measured, for all steps up to the next measurement.
+pub(super) const AUDIT_STEPS: u64 = 16;
+
+/// Physical and numerical constants of a run.
+#[derive(Clone, Debug)]
+pub(super) struct Frame<T> {
+    /// Cell size, m.
+    pub(super) mesh_m: f64,
+    pub(super) time_step_s: f64,
+    /// Position of column 0, m; row 0 lies at height 0.
+    pub(super) origin_m: f64,
+    /// The bed in every column of the domain.
+    pub(super) bed: Vec<BedColumn<T>>,
+    /// Height from which potential energy counts, m.
+    pub(super) lowest_m: f64,
+    pub(super) material: Material<T>,
+    /// Volumetric plastic strain at release.
+    pub(super) plastic_strain_at_release: f64,
+    pub(super) density_kg_m3: f64,
+    /// Area of snow of a particle, m2.
+    pub(super) particle_area_m2: f64,
+    /// Acceleration of gravity, downwards, m/s2.
+    pub(super) gravity_m_s2: f64,
+    pub(super) friction: f64,
+    pub(super) sticky: bool,
+    /// Volumetric plastic strain above which the affine motion is limited.
+    pub(super) limited_above: f64,
+}
+
+/// A particle as it is released.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Released {
+    /// Position, m.
+    pub(super) position_m: [f64; 2],
+    /// Velocity, m/s.
+    pub(super) velocity_m_s: [f64; 2],
+    /// Velocity gradient, 1/s: `[dvx/dx, dvx/dz, dvz/dx, dvz/dz]`.
+    pub(super) gradient_1_s: [f64; 4],
+}
+
+/// Particles of a chunk, and their motion where it was kept.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ChunkParticles<T> {
+    pub(super) blocks: Vec<Block<T>>,
+    pub(super) motion: Vec<Motion<T>>,
+}
+
+/// Energies in particle masses times (cells a step)^2, summed over the steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(super) struct Ledger {
+    pub(super) bed: f64,
+    pub(super) plastic: f64,
+    pub(super) transfer: f64,
+    /// Kinetic energy of the grid now.
+    pub(super) grid: f64,
+}
+
+/// Why a run cannot go on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Halt {
+    /// The flow is at the edge of the domain.
+    LeftDomain,
+    /// Something is not finite, or moves by more than a cell a step.
+    Diverged,
+    /// The grid would have too many nodes.
+    TooLarge,
+}
+
+impl From<NoLayout> for Halt {
+    fn from(reason: NoLayout) -> Self {
+        match reason {
+            NoLayout::LeftDomain => Self::LeftDomain,
+            NoLayout::TooLarge => Self::TooLarge,
+        }
+    }
+}
+
+/// The state of a run.
+#[derive(Clone, Debug)]
+pub(super) struct Engine<T> {
+    pub(super) frame: Frame<T>,
+    pub(super) layout: Layout,
+    pub(super) chunks: Vec<ChunkParticles<T>>,
+    pub(super) grids: Vec<ChunkGrid<T>>,
+    /// Velocities of the nodes along x and z, twice, cells a step.
+    pub(super) velocity: Vec<[T; 4]>,
+    /// Cells that a particle may have moved since the particles were sorted.
+    pub(super) drift: f64,
+    /// The largest velocity component on the grid, cells a step.
+    pub(super) fastest: f64,
+    pub(super) steps: u64,
+    pub(super) ledger: Ledger,
+    /// Memory of the sorting before.
+    spare: Vec<ChunkParticles<T>>,
+}
+
+impl<T: Real> Engine<T> {
+    /// Particles at the nodes of the grid, at time 0.
+    pub(super) fn new(frame: Frame<T>, released: &[Released]) -> Result<Self, Halt> {
+        let strength = frame.material.strength(T::of(frame.plastic_strain_at_release));
+        let particles: Vec<Particle<T>> = released.iter().enumerate()
+            .map(|(id, released)| {
+                let place = [
+                    (released.position_m[0] - frame.origin_m) / frame.mesh_m,
+                    released.position_m[1] / frame.mesh_m,
+                ];
+                let node = place.map(f64::round);
+                Particle {
+                    id: id as u32,
+                    column: node[0] as i32,
+                    row: node[1] as i32,
+                    gx: T::of(place[0] - node[0]),
+                    gz: T::of(place[1] - node[1]),
+                    bxx: T::of(0.0),
+                    bzz: T::of(0.0),
+                    bxz: T::of(0.0),
+                    plastic_strain: T::of(frame.plastic_strain_at_release),
+                    strength,
+                }
+            })
+            .collect();
+        let mut engine = Self::assemble(frame);
+        engine.arrange(&particles)?;
+        let speed = engine.frame.time_step_s / engine.frame.mesh_m;
+        let dt = engine.frame.time_step_s;
+        for chunk in &mut engine.chunks {
+            chunk.motion = vec![Motion::default(); chunk.blocks.len()];
+            for (block, motion) in chunk.blocks.iter().zip(&mut chunk.motion) {
+                for k in 0..block.len {
+                    let Released { velocity_m_s: v, gradient_1_s: l, .. } = released[block.id[k] as usize];
+                    (motion.vx[k], motion.vz[k]) = (T::of(v[0] * speed), T::of(v[1] * speed));
+                    let l = l.map(|l| T::of(l * dt));
+                    (motion.lxx[k], motion.lxz[k], motion.lzx[k], motion.lzz[k]) = (l[0], l[1], l[2], l[3]);
+                }
+            }
+        }
+        engine.give_motion();
+        let reduced = engine.reduce(None);
+        engine.settle(reduced)?;
+        Ok(engine)
+    }
+
+    /// An engine without particles.
+    pub(super) fn assemble(frame: Frame<T>) -> Self {
+        Self {
+            frame,
+            layout: Layout::default(),
+            chunks: Vec::new(),
+            grids: Vec::new(),
+            velocity: Vec::new(),
+            drift: 0.0,
+            fastest: 0.0,
+            steps: 0,
+            ledger: Ledger::default(),
+            spare: Vec::new(),
+        }
+    }
+
+    /// Number of particles.
+    pub(super) fn particles(&self) -> usize {
+        self.layout.chunks.last().map_or(0, |chunk| chunk.particles[1] as usize)
+    }
+
+    /// One step; keeps the particles' motion where `keep`.
+    pub(super) fn step(&mut self, keep: bool) -> Result<(), Halt> {
+        if self.drift + self.fastest > DRIFT {
+            self.sort()?;
+        }
+        if self.fastest > DRIFT {
+            return Err(Halt::Diverged);
+        }
+        self.drift += self.fastest;
+        let transferred = self.steps.is_multiple_of(AUDIT_STEPS).then(|| self.audit());
+        self.move_particles(keep);
+        let reduced = self.reduce(transferred.as_deref());
+        self.steps += 1;
+        self.settle(reduced)
+    }
+
+    /// Books a step.
+    fn settle(&mut self, reduced: Reduced) -> Result<(), Halt> {
+        self.fastest = reduced.fastest;
+        self.ledger.grid = reduced.kinetic;
+        self.ledger.bed += AUDIT_STEPS as f64 * reduced.bed;
+        for grid in &self.grids {
+            self.ledger.plastic += grid.plastic / 4.0;
+        }
+        let lost: u32 = self.grids.iter().map(|grid| grid.lost).sum();
+        if reduced.kinetic.is_finite() && lost == 0 { Ok(()) } else { Err(Halt::Diverged) }
+    }
+
+    fn step_input(&self) -> Step<'_, T> {
+        Step {
+            velocity: &self.velocity,
+            offset: &self.layout.offset,
+            material: &self.frame.material,
+            limited_above: T::of(self.frame.limited_above),
+        }
+    }
+
+    fn move_particles(&mut self, keep: bool) {
+        // not `step_input`: the particles are borrowed beside
+        let step = Step {
+            velocity: &self.velocity,
+            offset: &self.layout.offset,
+            material: &self.frame.material,
+            limited_above: T::of(self.frame.limited_above),
+        };
+        self.chunks.par_iter_mut().zip(&mut self.grids).for_each(|(chunk, grid)| {
+            let kept = if keep { chunk.blocks.len() } else { 0 };
+            chunk.motion.resize(kept, Motion::default());
+            T::step(&step, &mut chunk.blocks, &mut chunk.motion, grid);
+        });
+    }
+
+    /// Measures what the coming transfer will lose; returns the velocities that it alone gives to the nodes.
+    fn audit(&mut self) -> Vec<[T; 4]> {
+        let mut grids = std::mem::take(&mut self.grids);
+        let step = self.step_input();
+        self.chunks.par_iter().zip(&mut grids).for_each(|(chunk, grid)| T::audit(&step, &chunk.blocks, grid));
+        self.grids = grids;
+        let mut velocity = vec![[T::of(0.0); 4]; self.velocity.len()];
+        let transferred = self.reduce_into(&mut velocity, Stage::Transferred);
+        self.ledger.transfer += AUDIT_STEPS as f64 * (self.ledger.grid - transferred.kinetic);
+        velocity
+    }
+
+    /// Velocities of all nodes from what the chunks gave, after the forces; `transferred` are those before.
+    fn reduce(&mut self, transferred: Option<&[[T; 4]]>) -> Reduced {
+        let mut velocity = std::mem::take(&mut self.velocity);
+        let reduced = self.reduce_into(&mut velocity, Stage::Forced(transferred));
+        self.velocity = velocity;
+        reduced
+    }
+
+    fn reduce_into(&self, velocity: &mut [[T; 4]], stage: Stage<'_, T>) -> Reduced {
+        let Self { frame, layout, grids, .. } = self;
+        let gravity = frame.gravity_m_s2 * frame.time_step_s * frame.time_step_s / frame.mesh_m;
+        let mut rest = velocity;
+        let mut parts = Vec::with_capacity(layout.chunks.len());
+        for span in &layout.chunks {
+            let [from, to] = span.columns.map(|column| layout.start[column as usize] as usize);
+            let (own, after) = rest.split_at_mut(to - from);
+            parts.push((from..to, own));
+            rest = after;
+        }
+        let of_chunk = |(chunk, (own, velocity)): (usize, (std::ops::Range<usize>, &mut [[T; 4]]))| {
+            let stage = match stage {
+                Stage::Forced(Some(transferred)) => Stage::Forced(transferred.get(own)),
+                other => other,
+            };
+            let reduction = Reduction {
+                layout,
+                chunk,
+                grids,
+                bed: &frame.bed,
+                gravity: T::of(gravity),
+                friction: T::of(frame.friction),
+                sticky: frame.sticky,
+                stage,
+            };
+            T::reduce(&reduction, velocity)
+        };
+        let reduced: Vec<Reduced> = parts.into_par_iter().enumerate().map(of_chunk).collect();
+        reduced.iter().fold(Reduced::default(), |sum, part| Reduced {
+            kinetic: sum.kinetic + part.kinetic,
+            bed: sum.bed + part.bed,
+            fastest: sum.fastest.max(part.fastest),
+        })
+    }
+
+    /// Sorts the particles by cell and lays the grid out around them.
+    fn sort(&mut self) -> Result<(), Halt> {
+        let cells = self.blocks().flat_map(|block| (0..block.len).map(|k| (block.place.column[k], block.place.row[k])));
+        let mut layout = Layout::around(cells, self.frame.bed.len())?;
+        let order = Order::new(&mut layout, self.blocks());
+        let mut chunks = std::mem::take(&mut self.spare);
+        order.place(&layout, self.blocks(), &mut chunks);
+        self.velocity = layout.carry(&self.layout, &self.velocity);
+        self.spare = std::mem::replace(&mut self.chunks, chunks);
+        self.adopt(layout);
+        Ok(())
+    }
+
+    /// Puts particles in the order of release into cells.
+    fn arrange(&mut self, particles: &[Particle<T>]) -> Result<(), Halt> {
+        self.chunks = vec![ChunkParticles { blocks: blocks_of(particles), motion: Vec::new() }];
+        let cells = particles.iter().map(|particle| (particle.column, particle.row));
+        let mut layout = Layout::around(cells, self.frame.bed.len())?;
+        let order = Order::new(&mut layout, self.blocks());
+        let mut chunks = Vec::new();
+        order.place(&layout, self.blocks(), &mut chunks);
+        self.chunks = chunks;
+        self.velocity = vec![[T::of(0.0); 4]; layout.nodes()];
+        self.adopt(layout);
+        Ok(())
+    }
+
+    /// Takes a layout over, with empty grids.
+    pub(super) fn adopt(&mut self, layout: Layout) {
+        let of_span = |nodes: [u32; 2]| ChunkGrid::new(nodes[0] as usize, nodes[1] as usize);
+        self.grids = layout.chunks.iter().map(|chunk| of_span(chunk.nodes)).collect();
+        self.layout = layout;
+        self.drift = 0.0;
+    }
+
+    pub(super) fn blocks(&self) -> impl Iterator<Item = &Block<T>> {
+        self.chunks.iter().flat_map(|chunk| &chunk.blocks)
+    }
+
+    /// Gives the kept motion of the particles to the grid, as it is released: without stress.
+    fn give_motion(&mut self) {
+        for (chunk, grid) in self.chunks.iter().zip(&mut self.grids) {
+            for (block, motion) in chunk.blocks.iter().zip(&chunk.motion) {
+                for k in 0..block.len {
+                    give(&self.layout, block, motion, k, grid);
+                }
+            }
+        }
+    }
+}
+
+/// Gives the mass and momentum of one particle to the grid.
+fn give<T: Real>(layout: &Layout, block: &Block<T>, motion: &Motion<T>, k: usize, grid: &mut ChunkGrid<T>) {
+    let (gx, gz) = (block.place.gx[k], block.place.gz[k]);
+    let (wx, wz) = (weights(gx), weights(gz));
+    for (i, &wx) in wx.iter().enumerate() {
+        for (j, &wz) in wz.iter().enumerate() {
+            let (dx, dz) = (T::of(i as f64 - 1.0) - gx, T::of(j as f64 - 1.0) - gz);
+            let node = layout.node(block.place.column[k] + i as i32 - 1, block.place.row[k] + j as i32 - 1);
+            let w = wx * wz;
+            let node = &mut grid.nodes[node - grid.first as usize];
+            node[0] += w * (motion.vx[k] + motion.lxx[k] * dx + motion.lxz[k] * dz);
+            node[1] += w * (motion.vz[k] + motion.lzx[k] * dx + motion.lzz[k] * dz);
+            node[2] += w;
+        }
+    }
+}
+
+/// Particles one after the other in blocks.
+pub(super) fn blocks_of<T: Real>(particles: &[Particle<T>]) -> Vec<Block<T>> {
+    let block_of = |particles: &[Particle<T>]| {
+        let mut block = Block::empty(particles[0].column, particles[0].row);
+        for (k, particle) in particles.iter().enumerate() {
+            block.set(k, particle);
+        }
+        block.len = particles.len();
+        block
+    };
+    particles.chunks(BLOCK).map(block_of).collect()
+}
+
+/// The sorted order of particles: by node, those of a node in the order that they had.
+struct Order {
+    /// Node of each particle.
+    nodes: Vec<u32>,
+    /// Particles before each node.
+    first: Vec<u32>,
+}
+
+impl Order {
+    /// Counts the particles of each node, and cuts the layout into chunks by them.
+    fn new<'a, T: Real>(layout: &mut Layout, blocks: impl Iterator<Item = &'a Block<T>>) -> Self {
+        let mut first = vec![0; layout.nodes() + 1];
+        let mut nodes = Vec::new();
+        for block in blocks {
+            for k in 0..block.len {
+                let node = layout.node(block.place.column[k], block.place.row[k]);
+                nodes.push(node as u32);
+                first[node + 1] += 1;
+            }
+        }
+        for node in 1..first.len() {
+            first[node] += first[node - 1];
+        }
+        layout.cut(&first);
+        Self { nodes, first }
+    }
+
+    /// Moves the particles to their chunks; `chunks` lends its memory.
+    fn place<'a, T: Real>(
+        mut self,
+        layout: &Layout,
+        blocks: impl Iterator<Item = &'a Block<T>>,
+        chunks: &mut Vec<ChunkParticles<T>>,
+    ) {
+        chunks.resize_with(layout.chunks.len(), ChunkParticles::default);
+        let mut chunk_of = vec![0_u32; layout.lowest.len()];
+        for (index, (span, chunk)) in layout.chunks.iter().zip(chunks.iter_mut()).enumerate() {
+            chunk.motion.clear();
+            chunk.blocks.resize(span.blocks(), Block::empty(0, 0));
+            chunk_of[span.columns[0] as usize..span.columns[1] as usize].fill(index as u32);
+        }
+        let mut particle = 0;
+        for block in blocks {
+            for k in 0..block.len {
+                let next = &mut self.first[self.nodes[particle] as usize];
+                let chunk = chunk_of[block.place.column[k] as usize] as usize;
+                let at = (*next - layout.chunks[chunk].particles[0]) as usize;
+                *next += 1;
+                particle += 1;
+                chunks[chunk].blocks[at / BLOCK].set(at % BLOCK, &block.get(k));
+            }
+        }
+        for (span, chunk) in layout.chunks.iter().zip(chunks.iter_mut()) {
+            let mut left = (span.particles[1] - span.particles[0]) as usize;
+            for block in &mut chunk.blocks {
+                block.len = left.min(BLOCK);
+                left -= block.len;
+                let filler = Block::empty(block.place.column[0], block.place.row[0]).get(0);
+                for k in block.len..BLOCK {
+                    block.set(k, &filler);
+                }
+            }
+        }
+    }
+}

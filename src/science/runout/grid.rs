@@ -1,0 +1,363 @@
+//! The grid: of every column only the span of nodes around its particles, one column packed after the other.
+//!
+//! A layout holds from one sorting of the particles to the next, in which no particle moves by more than [`DRIFT`] cells.
+//! Chunks are runs of columns; a chunk's particles give to a grid of its own, and the grids are added in a fixed order.
+
+use multiversion::multiversion;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    lanes::Real,
+    particles::{BLOCK, Particle},
+    transfer::ChunkGrid,
+};
+
+/// Cells that a particle may move before the particles are sorted again.
+pub(super) const DRIFT: f64 = 0.95;
+/// Columns and rows beyond a particle's cell that it may reach: one by drift, one by its spline.
+const REACH: usize = 2;
+/// Columns that a chunk has at least, so that only neighbours share nodes.
+const NARROWEST: usize = 2 * REACH + 2;
+/// Particles of a chunk, about: few enough that two cores share a small run, so many that shared columns cost little.
+const CHUNK: usize = 16_384;
+/// Lanes of a sum over nodes.
+const LANES: usize = 16;
+
+/// The bed as a column of nodes meets it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BedColumn<T> {
+    /// The highest row inside of the bed.
+    pub(super) row: i32,
+    /// Unit normal, out of the bed.
+    pub(super) nx: T,
+    pub(super) nz: T,
+}
+
+/// A run of columns with its particles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct ChunkSpan {
+    /// Columns, from and up to.
+    pub(super) columns: [u32; 2],
+    /// Particles, from and up to in sorted order.
+    pub(super) particles: [u32; 2],
+    /// Nodes that its particles may reach, from and up to.
+    pub(super) nodes: [u32; 2],
+}
+
+impl ChunkSpan {
+    pub(super) fn blocks(&self) -> usize {
+        ((self.particles[1] - self.particles[0]) as usize).div_ceil(BLOCK)
+    }
+}
+
+/// Where the nodes are.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Layout {
+    /// For every column the number of its node at row 0, were there one.
+    pub(super) offset: Vec<i32>,
+    /// For every column its lowest row.
+    pub(super) lowest: Vec<i32>,
+    /// For every column the number of its first node; one entry more than columns.
+    pub(super) start: Vec<u32>,
+    pub(super) chunks: Vec<ChunkSpan>,
+}
+
+/// Why there is no layout.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum NoLayout {
+    /// A particle is at the edge of the domain.
+    LeftDomain,
+    /// The nodes cannot be numbered.
+    TooLarge,
+}
+
+impl Layout {
+    /// Number of nodes.
+    pub(super) fn nodes(&self) -> usize {
+        self.start.last().map_or(0, |&end| end as usize)
+    }
+
+    /// Nodes of a column, from and up to.
+    pub(super) fn column(&self, column: usize) -> std::ops::Range<usize> {
+        self.start[column] as usize..self.start[column + 1] as usize
+    }
+
+    /// Number of the node that is nearest to a particle; it is one of the layout's for every particle that made it.
+    #[inline(always)]
+    pub(super) fn node(&self, column: i32, row: i32) -> usize {
+        (self.offset[column as usize] + row) as usize
+    }
+
+    /// The layout for particles in these cells, of `columns` in all, without its chunks.
+    pub(super) fn around(cells: impl Iterator<Item = (i32, i32)>, columns: usize) -> Result<Self, NoLayout> {
+        let mut rows = vec![(i32::MAX, i32::MIN); columns];
+        let inside = REACH as i32..columns as i32 - REACH as i32;
+        for (column, row) in cells {
+            if !inside.contains(&column) {
+                return Err(NoLayout::LeftDomain);
+            }
+            let span = &mut rows[column as usize];
+            *span = (span.0.min(row), span.1.max(row));
+        }
+        let (mut offset, mut lowest, mut start) = (Vec::new(), Vec::new(), vec![0]);
+        let mut nodes = 0_i32;
+        let reach = REACH as i32;
+        for column in 0..columns {
+            let near = &rows[column.saturating_sub(REACH)..(column + REACH + 1).min(columns)];
+            let (low, high) = near.iter().fold((i32::MAX, i32::MIN), |(l, h), span| (l.min(span.0), h.max(span.1)));
+            let empty = low > high;
+            let low = if empty { 0 } else { low.saturating_sub(reach) };
+            let length = if empty { 0 } else { high.saturating_add(reach + 1).saturating_sub(low) };
+            offset.push(nodes.saturating_sub(low));
+            lowest.push(low);
+            nodes = nodes.checked_add(length).filter(|&nodes| nodes < 1 << 28).ok_or(NoLayout::TooLarge)?;
+            start.push(nodes as u32);
+        }
+        Ok(Self { offset, lowest, start, chunks: Vec::new() })
+    }
+
+    /// Cuts the columns into chunks of about [`CHUNK`] particles; `first` has, for every node, the particles before it.
+    ///
+    /// How many there are depends on the particles alone, so that sums have one order on every machine.
+    pub(super) fn cut(&mut self, first: &[u32]) {
+        let particles = first.last().map_or(0, |&n| n as usize);
+        let wanted = (particles / CHUNK).max(1);
+        let columns = self.lowest.len();
+        let before = |column: usize| first[self.start[column] as usize] as usize;
+        let mut chunks: Vec<ChunkSpan> = Vec::with_capacity(wanted);
+        let mut from = 0;
+        while from < columns {
+            let target = particles * (chunks.len() + 1) / wanted;
+            let mut to = (from + NARROWEST).min(columns);
+            while to < columns && before(to) < target {
+                to += 1;
+            }
+            if columns - to < NARROWEST || chunks.len() + 1 == wanted {
+                to = columns;
+            }
+            let nodes = [self.start[from.saturating_sub(REACH)], self.start[(to + REACH).min(columns)]];
+            let particles = [before(from) as u32, before(to) as u32];
+            chunks.push(ChunkSpan { columns: [from as u32, to as u32], particles, nodes });
+            from = to;
+        }
+        self.chunks = chunks;
+    }
+
+    /// Velocities of nodes, brought from the layout `old` to this one; 0 where `old` has no node.
+    pub(super) fn carry<T: Real>(&self, old: &Self, values: &[[T; 4]]) -> Vec<[T; 4]> {
+        let mut out = vec![[T::of(0.0); 4]; self.nodes()];
+        for column in 0..self.lowest.len().min(old.lowest.len()) {
+            let (new_span, old_span) = (self.column(column), old.column(column));
+            let (new_low, old_low) = (self.lowest[column], old.lowest[column]);
+            let low = new_low.max(old_low);
+            let high = (new_low + new_span.len() as i32).min(old_low + old_span.len() as i32);
+            if low < high && !new_span.is_empty() && !old_span.is_empty() {
+                let count = (high - low) as usize;
+                let to = new_span.start + (low - new_low) as usize;
+                let from = old_span.start + (low - old_low) as usize;
+                out[to..to + count].copy_from_slice(&values[from..from + count]);
+            }
+        }
+        out
+    }
+
+    /// Whether this is a layout that particles in these cells may use, so that nothing can reach beyond it.
+    pub(super) fn fits<T>(&self, particles: &[Particle<T>], columns: usize) -> bool {
+        let shaped = self.offset.len() == columns && self.lowest.len() == columns && self.start.len() == columns + 1;
+        let rising = self.start.first() == Some(&0) && self.start.windows(2).all(|pair| pair[0] <= pair[1]);
+        if !shaped || !rising || self.nodes() >= 1 << 28 {
+            return false;
+        }
+        let chained = |values: fn(&ChunkSpan) -> [u32; 2], end: u32| {
+            let ends = self.chunks.last().is_some_and(|chunk| values(chunk)[1] == end);
+            let first = self.chunks.first().is_some_and(|chunk| values(chunk)[0] == 0);
+            ends && first && self.chunks.windows(2).all(|pair| values(&pair[0])[1] == values(&pair[1])[0])
+        };
+        let spans = self.chunks.iter().all(|chunk| {
+            chunk.columns[0] <= chunk.columns[1]
+                && chunk.particles[0] <= chunk.particles[1]
+                && chunk.nodes[0] <= chunk.nodes[1]
+                && chunk.nodes[1] as usize <= self.nodes()
+        });
+        let numbered = (0..columns).all(|c| self.offset[c] == (self.start[c] as i32).saturating_sub(self.lowest[c]));
+        let placed = particles.iter().all(|particle| {
+            (2..columns as i32 - 2).contains(&particle.column) && {
+                let column = particle.column as usize;
+                let row = i64::from(particle.row) - i64::from(self.lowest[column]);
+                (0..self.column(column).len() as i64).contains(&row)
+            }
+        });
+        spans
+            && numbered
+            && placed
+            && chained(|chunk| chunk.columns, columns as u32)
+            && chained(|chunk| chunk.particles, particles.len() as u32)
+    }
+}
+
+/// What a chunk reads to find the velocities of its nodes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reduction<'a, T> {
+    pub(super) layout: &'a Layout,
+    pub(super) chunk: usize,
+    pub(super) grids: &'a [ChunkGrid<T>],
+    pub(super) bed: &'a [BedColumn<T>],
+    /// Cells a step a step.
+    pub(super) gravity: T,
+    pub(super) friction: T,
+    /// The bed holds what touches it.
+    pub(super) sticky: bool,
+    /// What is asked for.
+    pub(super) stage: Stage<'a, T>,
+}
+
+/// What is made of the momenta of a chunk's nodes.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Stage<'a, T> {
+    /// Their velocities, without any force.
+    Transferred,
+    /// Their velocities after gravity and the bed. Where the velocities are known that they had before all forces of the
+    /// step, those of stress included, the work of the bed is measured.
+    Forced(Option<&'a [[T; 4]]>),
+}
+
+/// What a chunk's nodes amount to; energies in particle masses times (cells a step)^2.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Reduced {
+    /// Kinetic energy.
+    pub(super) kinetic: f64,
+    /// Energy lost at the bed, where it was measured: its impulse times the mean velocity of the step.
+    pub(super) bed: f64,
+    /// The largest velocity component of any node, cells a step.
+    pub(super) fastest: f64,
+}
+
+/// Kinetic energy and largest velocity component of nodes.
+#[inline(always)]
+fn tally<T: Real>(mass: &[T], velocity: &[[T; 4]]) -> (f64, T) {
+    let (zero, half) = (T::of(0.0), T::of(0.5));
+    let (mut energy, mut fastest) = ([zero; LANES], [zero; LANES]);
+    let mut add = |lane: usize, m: T, [vx, vz, ..]: [T; 4]| {
+        let (ax, az) = (if vx > zero { vx } else { -vx }, if vz > zero { vz } else { -vz });
+        energy[lane] += half * m * (vx * vx + vz * vz);
+        let larger = if ax > az { ax } else { az };
+        fastest[lane] = if larger > fastest[lane] { larger } else { fastest[lane] };
+    };
+    let ((masses, mass_rest), (velocities, velocity_rest)) =
+        (mass.as_chunks::<LANES>(), velocity.as_chunks::<LANES>());
+    for (m, v) in masses.iter().zip(velocities) {
+        for lane in 0..LANES {
+            add(lane, m[lane], v[lane]);
+        }
+    }
+    for (lane, (m, v)) in mass_rest.iter().zip(velocity_rest).enumerate() {
+        add(lane, *m, *v);
+    }
+    let sum = energy.iter().map(|e| e.f64()).sum();
+    (sum, fastest.iter().fold(zero, |a, &b| if b > a { b } else { a }))
+}
+
+/// Adds the chunk grids over the columns of one chunk, makes velocities of momenta and applies gravity and the bed.
+///
+/// `velocity` has the chunk's own nodes.
+#[inline(always)]
+fn reduce_nodes<T: Real>(input: &Reduction<'_, T>, velocity: &mut [[T; 4]]) -> Reduced {
+    let Reduction { layout, chunk, grids, .. } = *input;
+    let columns = layout.chunks[chunk].columns.map(|column| column as usize);
+    let (from, to) = (layout.start[columns[0]] as usize, layout.start[columns[1]] as usize);
+    velocity.fill([T::of(0.0); 4]);
+    for neighbour in chunk.saturating_sub(1)..(chunk + 2).min(grids.len()) {
+        let [first, end] = layout.chunks[neighbour].nodes.map(|node| node as usize);
+        let (low, high) = (first.max(from), end.min(to));
+        if low >= high {
+            continue;
+        }
+        let given = &grids[neighbour].nodes[low - first..high - first];
+        for (sum, given) in velocity[low - from..high - from].iter_mut().zip(given) {
+            *sum = [sum[0] + given[0], sum[1] + given[1], sum[2] + given[2], T::of(0.0)];
+        }
+    }
+    let (zero, one, tiny) = (T::of(0.0), T::of(1.0), T::of(1e-30));
+    let gravity = if matches!(input.stage, Stage::Transferred) { zero } else { input.gravity };
+    let mut mass = vec![zero; velocity.len()];
+    for (v, mass) in velocity.iter_mut().zip(&mut mass) {
+        let [px, pz, m, _] = *v;
+        let (inverse, gravity) = if m > tiny { (one / m, gravity) } else { (zero, zero) };
+        let (vx, vz) = (px * inverse, pz * inverse - gravity);
+        *v = [vx, vz, vx, vz];
+        *mass = m;
+    }
+    let bed = match input.stage {
+        Stage::Transferred => 0.0,
+        Stage::Forced(before) => contact(input, velocity, &mass, before),
+    };
+    let (kinetic, fastest) = tally(&mass, velocity);
+    Reduced { kinetic, bed, fastest: fastest.f64() }
+}
+
+/// Lets the nodes inside of the bed meet it; returns the energy that is lost where the velocities `before` all forces are
+/// known.
+#[inline(always)]
+fn contact<T: Real>(
+    input: &Reduction<'_, T>,
+    velocity: &mut [[T; 4]],
+    mass: &[T],
+    before: Option<&[[T; 4]]>,
+) -> f64 {
+    let Reduction { layout, chunk, .. } = *input;
+    let columns = layout.chunks[chunk].columns.map(|column| column as usize);
+    let from = layout.start[columns[0]] as usize;
+    let mut lost = 0.0;
+    for column in columns[0]..columns[1] {
+        let rows = layout.column(column);
+        let inside = (input.bed[column].row - layout.lowest[column] + 1).clamp(0, rows.len() as i32) as usize;
+        for node in rows.start - from..rows.start - from + inside {
+            let free = [velocity[node][0], velocity[node][1]];
+            let held = meet(free, &input.bed[column], input.friction, input.sticky);
+            velocity[node] = [held[0], held[1], held[0], held[1]];
+            if let Some(before) = before {
+                let work = (held[0] - free[0]) * (held[0] + before[node][0])
+                    + (held[1] - free[1]) * (held[1] + before[node][1]);
+                lost -= 0.5 * (mass[node] * work).f64();
+            }
+        }
+    }
+    lost
+}
+
+/// The velocity of a node inside of the bed after its contact: Coulomb friction of what moves into the bed, nothing where it
+/// moves out, and rest where the bed is sticky.
+#[inline(always)]
+fn meet<T: Real>(v: [T; 2], bed: &BedColumn<T>, friction: T, sticky: bool) -> [T; 2] {
+    let zero = T::of(0.0);
+    let normal = v[0] * bed.nx + v[1] * bed.nz;
+    if sticky {
+        return [zero; 2];
+    }
+    if normal >= zero {
+        return v;
+    }
+    let along = v[0] * bed.nz - v[1] * bed.nx;
+    let braked = friction * normal;
+    // the impulse of the bed brakes by at most what there is
+    let along = if along > zero {
+        if along + braked > zero { along + braked } else { zero }
+    } else if along - braked < zero {
+        along - braked
+    } else {
+        zero
+    };
+    [along * bed.nz, -(along * bed.nx)]
+}
+
+macro_rules! dispatched {
+    ($t:ty, $reduce:ident) => {
+        /// [`reduce_nodes`] at the widest instructions of this machine.
+        #[multiversion(targets("x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2", "x86_64+avx2+bmi1+bmi2"))]
+        pub(super) fn $reduce(input: &Reduction<'_, $t>, velocity: &mut [[$t; 4]]) -> Reduced {
+            reduce_nodes(input, velocity)
+        }
+    };
+}
+dispatched!(f32, reduce_f32);
+dispatched!(f64, reduce_f64);

@@ -1,0 +1,257 @@
+//! Numbers of the dynamics in either precision, with elementary functions that compile to SIMD.
+//!
+//! Nothing here depends on the width of the machine's registers or on its mathematical library, and no multiplication is
+//! fused with an addition, so every instruction set gives the same bits.
+
+use std::{
+    fmt::Debug,
+    ops::{Add, AddAssign, Div, Mul, Neg, Sub},
+};
+
+use serde::{Serialize, de::DeserializeOwned};
+
+use super::transfer::{Audit, ChunkGrid, Motion, Step};
+use super::{grid::Reduction, particles::Block};
+
+/// `f32` or `f64`.
+pub(super) trait Real:
+    Copy
+    + Debug
+    + Default
+    + PartialOrd
+    + Send
+    + Sync
+    + Serialize
+    + DeserializeOwned
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + AddAssign
+    + 'static
+{
+    /// Four of them in a register.
+    type V: super::vector::Vector<Self>;
+
+    /// Newton steps after which a plastic return has converged to this precision, from any trial stress.
+    const NEWTON_STEPS: usize;
+
+    /// Rounded to this precision.
+    fn of(x: f64) -> Self;
+
+    /// The same number.
+    fn f64(self) -> f64;
+
+    /// Square root, correctly rounded.
+    fn sqrt(self) -> Self;
+
+    /// The nearest integer, as a number and as an integer; `|self| < 2^22`.
+    fn nearest(self) -> (Self, i32);
+
+    /// For `y = 1 + x > 0`: the exponent `k` that brings `y / 2^k` between `sqrt(1/2)` and `sqrt 2`, and `y / 2^k - 1`, which
+    /// is `x` itself where `k = 0`.
+    fn reduced(self) -> (Self, Self);
+
+    /// `atanh(s) / s` of `z = s^2 <= 0.0295`.
+    fn atanh_ratio(z: Self) -> Self;
+
+    /// `exp(x) - 1` for `|x| <= 80`; beyond, that of the bound.
+    fn exp_m1(self) -> Self;
+
+    /// One step of the particles of a chunk: see [`super::transfer::step`].
+    fn step(step: &Step<'_, Self>, blocks: &mut [Block<Self>], motion: &mut [Motion<Self>], grid: &mut ChunkGrid<Self>);
+
+    /// The transfer of a chunk without its forces: see [`super::transfer::audit`].
+    fn audit(audit: &Audit<'_, Self>, blocks: &[Block<Self>], grid: &mut ChunkGrid<Self>);
+
+    /// Velocities of the nodes of a chunk: see [`super::grid::reduce`].
+    fn reduce(reduction: &Reduction<'_, Self>, velocity: &mut [[Self; 4]]) -> super::grid::Reduced;
+}
+
+/// `ln 2`.
+const LN_2: f64 = std::f64::consts::LN_2;
+
+/// `ln(1 + x)` and `ln(1 + y)` by one division; `x, y > -1`.
+#[inline(always)]
+pub(super) fn ln_1p_pair<T: Real>(x: T, y: T) -> (T, T) {
+    let two = T::of(2.0);
+    let ((kx, x), (ky, y)) = (x.reduced(), y.reduced());
+    let (dx, dy) = (two + x, two + y);
+    let inverse = T::of(1.0) / (dx * dy);
+    let (sx, sy) = (x * (dy * inverse), y * (dx * inverse));
+    let log = |k: T, s: T| k * T::of(LN_2) + (s + s) * T::atanh_ratio(s * s);
+    (log(kx, sx), log(ky, sy))
+}
+
+/// `sinh(x)` for `|x| <= 80`; beyond, that of the bound.
+#[inline(always)]
+pub(super) fn sinh<T: Real>(x: T) -> T {
+    let e = x.exp_m1();
+    T::of(0.5) * (e + e / (T::of(1.0) + e))
+}
+
+/// The larger of two numbers; the second where one is none.
+#[inline(always)]
+pub(super) fn max<T: Real>(a: T, b: T) -> T {
+    if a > b { a } else { b }
+}
+
+/// The smaller of two numbers; the second where one is none.
+#[inline(always)]
+pub(super) fn min<T: Real>(a: T, b: T) -> T {
+    if a < b { a } else { b }
+}
+
+macro_rules! real {
+    (
+        $t:ident, $vector:ident, $signed:ident, $mantissa:literal, $bias:literal, $round:literal, $newton:literal,
+        atanh $atanh:expr, exp $exp:expr, ln_2 ($high:expr, $low:expr),
+        $step:ident, $audit:ident, $reduce:ident
+    ) => {
+        impl Real for $t {
+            type V = wide::$vector;
+
+            const NEWTON_STEPS: usize = $newton;
+
+            #[inline(always)]
+            fn of(x: f64) -> Self {
+                x as $t
+            }
+
+            #[inline(always)]
+            fn f64(self) -> f64 {
+                f64::from(self)
+            }
+
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                $t::sqrt(self)
+            }
+
+            #[inline(always)]
+            fn nearest(self) -> (Self, i32) {
+                // adding 1.5 * 2^(mantissa bits) leaves the integer in the low bits
+                let shifted = self + $round;
+                let integer = shifted.to_bits().wrapping_sub(($round as $t).to_bits()) as i32;
+                (shifted - $round, integer)
+            }
+
+            #[inline(always)]
+            fn reduced(self) -> (Self, Self) {
+                const ROOT_HALF: $signed = std::$t::consts::FRAC_1_SQRT_2.to_bits() as $signed;
+                let bits = (1.0 + self).to_bits() as $signed;
+                let k = (bits - ROOT_HALF) >> $mantissa;
+                let mantissa = $t::from_bits((bits - (k << $mantissa)) as _);
+                (k as i32 as $t, if k == 0 { self } else { mantissa - 1.0 })
+            }
+
+            #[inline(always)]
+            fn atanh_ratio(z: Self) -> Self {
+                let terms = $atanh;
+                let mut sum = terms[0];
+                for term in &terms[1..] {
+                    sum = sum * z + term;
+                }
+                sum * z + 1.0
+            }
+
+            #[inline(always)]
+            fn exp_m1(self) -> Self {
+                let x = max(min(self, 80.0), -80.0);
+                let shifted = x * std::$t::consts::LOG2_E + $round;
+                let k = shifted - $round;
+                let r = (x - k * $high) - k * $low;
+                let terms = $exp;
+                let mut sum = terms[0];
+                for term in &terms[1..] {
+                    sum = sum * r + term;
+                }
+                let fraction = (sum * r) * r + r;
+                let integer = shifted.to_bits().wrapping_sub(($round as $t).to_bits());
+                let power = $t::from_bits(integer.wrapping_add($bias) << $mantissa);
+                power * fraction + (power - 1.0)
+            }
+
+            fn step(step: &Step<'_, $t>, blocks: &mut [Block<$t>], motion: &mut [Motion<$t>], grid: &mut ChunkGrid<$t>) {
+                super::transfer::$step(step, blocks, motion, grid)
+            }
+
+            fn audit(audit: &Audit<'_, $t>, blocks: &[Block<$t>], grid: &mut ChunkGrid<$t>) {
+                super::transfer::$audit(audit, blocks, grid)
+            }
+
+            fn reduce(reduction: &Reduction<'_, $t>, velocity: &mut [[$t; 4]]) -> super::grid::Reduced {
+                super::grid::$reduce(reduction, velocity)
+            }
+        }
+    };
+}
+
+// Taylor series from the last term on: atanh(s)/s = 1 + z/3 + z^2/5 ..., (exp(r) - 1 - r)/r^2 = 1/2 + r/6 + ... with
+// |r| <= ln 2 / 2; ln 2 in two parts, of which the first times a small integer is exact (Cody & Waite 1980)
+real!(
+    f32, f32x4, i32, 23, 127, 12_582_912.0, 5,
+    atanh [1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0],
+    exp [1.0 / 5_040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5],
+    ln_2 (0.693_359_375, -2.121_944_4e-4),
+    step_f32, audit_f32, reduce_f32
+);
+real!(
+    f64, f64x4, i64, 52, 1023, 6_755_399_441_055_744.0, 7,
+    atanh [
+        1.0 / 21.0, 1.0 / 19.0, 1.0 / 17.0, 1.0 / 15.0, 1.0 / 13.0, 1.0 / 11.0, 1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0
+    ],
+    exp [
+        1.0 / 6_227_020_800.0, 1.0 / 479_001_600.0, 1.0 / 39_916_800.0, 1.0 / 3_628_800.0, 1.0 / 362_880.0, 1.0 / 40_320.0,
+        1.0 / 5_040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5
+    ],
+    ln_2 (f64::from_bits(0x3fe6_2e42_fee0_0000), f64::from_bits(0x3dea_39ef_3579_3c76)),
+    step_f64, audit_f64, reduce_f64
+);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Largest error of `f` against the platform's `g`, in units of the last place of `f64` times `scale`.
+    fn worst(range: std::ops::Range<f64>, f: impl Fn(f64) -> f64, g: impl Fn(f64) -> f64) -> f64 {
+        (0..200_000).map(|i| range.start + (range.end - range.start) * f64::from(i) / 200_000.0)
+            .map(|x| ((f(x) - g(x)) / g(x).abs().max(1e-300)).abs())
+            .fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn logarithms_agree_with_the_platform() {
+        // the exact 0 is left out: its relative error is none
+        for range in [-0.9..-1e-3, -1e-3..-1e-9, 1e-9..1e-3, 1e-3..4.0] {
+            let error = worst(range.clone(), |x| ln_1p_pair(x, 0.5).0, f64::ln_1p);
+            assert!(error < 1e-15, "{range:?}: {error:e}");
+            let error = worst(range.clone(), |x| f64::from(ln_1p_pair(0.5, x as f32).1), |x| f64::from(x as f32).ln_1p());
+            assert!(error < 3e-7, "{range:?}: {error:e}");
+        }
+    }
+
+    #[test]
+    fn exponentials_agree_with_the_platform() {
+        for range in [-30.0..-1e-3, -1e-3..-1e-9, 1e-9..1e-3, 1e-3..79.0] {
+            let error = worst(range.clone(), f64::exp_m1, f64::exp_m1);
+            assert_eq!(error, 0.0);
+            let error = worst(range.clone(), |x| Real::exp_m1(x), f64::exp_m1);
+            assert!(error < 1e-15, "{range:?}: {error:e}");
+            let error = worst(range.clone(), |x| f64::from(Real::exp_m1(x as f32)), |x| f64::from(x as f32).exp_m1());
+            assert!(error < 3e-7, "{range:?}: {error:e}");
+            let error = worst(range.clone(), sinh, f64::sinh);
+            assert!(error < 2e-15, "{range:?}: {error:e}");
+        }
+        assert_eq!(Real::exp_m1(1e9_f64), Real::exp_m1(80.0_f64));
+    }
+
+    #[test]
+    fn the_nearest_integer_is_the_nearest() {
+        for (x, nearest) in [(0.0, 0), (0.4, 0), (-0.4, 0), (0.6, 1), (-0.6, -1), (1.49, 1), (-1.51, -2), (1000.2, 1000)] {
+            assert_eq!(f64::nearest(x), (f64::from(nearest), nearest));
+            assert_eq!(f32::nearest(x as f32), (nearest as f32, nearest));
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! Four numbers of a node in a register: products and sums of the transfers, which compilers leave scalar.
+//!
+//! `wide` takes the 128-bit instructions that every x86-64 and every aarch64 has, and plain arrays elsewhere; what is compiled
+//! for wider registers encodes them anew. No multiplication is fused with an addition, so all give the same bits.
+
+use wide::{f32x4, f64x4};
+
+/// Four numbers: (x, z) and (x, z) of a velocity, or (x, z) of a momentum and a mass.
+pub(super) trait Vector<T>: Copy {
+    fn load(from: &[T; 4]) -> Self;
+    fn store(self, to: &mut [T; 4]);
+    fn splat(x: T) -> Self;
+    fn add(self, other: Self) -> Self;
+    fn sub(self, other: Self) -> Self;
+    fn mul(self, other: Self) -> Self;
+    /// The smaller of each; the second where one is none.
+    fn min(self, other: Self) -> Self;
+    /// The larger of each; the second where one is none.
+    fn max(self, other: Self) -> Self;
+    /// The last two with the other sign.
+    fn flip_upper(self) -> Self;
+    /// Zero for the last two.
+    fn lower(self) -> Self;
+}
+
+macro_rules! vector {
+    ($t:ty, $v:ty) => {
+        impl Vector<$t> for $v {
+            #[inline(always)]
+            fn load(from: &[$t; 4]) -> Self {
+                Self::new(*from)
+            }
+
+            #[inline(always)]
+            fn store(self, to: &mut [$t; 4]) {
+                *to = self.to_array();
+            }
+
+            #[inline(always)]
+            fn splat(x: $t) -> Self {
+                Self::new([x; 4])
+            }
+
+            #[inline(always)]
+            fn add(self, other: Self) -> Self {
+                self + other
+            }
+
+            #[inline(always)]
+            fn sub(self, other: Self) -> Self {
+                self - other
+            }
+
+            #[inline(always)]
+            fn mul(self, other: Self) -> Self {
+                self * other
+            }
+
+            #[inline(always)]
+            fn min(self, other: Self) -> Self {
+                self.fast_min(other)
+            }
+
+            #[inline(always)]
+            fn max(self, other: Self) -> Self {
+                self.fast_max(other)
+            }
+
+            #[inline(always)]
+            fn flip_upper(self) -> Self {
+                self ^ Self::new([0.0, 0.0, -0.0, -0.0])
+            }
+
+            #[inline(always)]
+            fn lower(self) -> Self {
+                let all = <$t>::from_bits(!0);
+                self & Self::new([all, all, 0.0, 0.0])
+            }
+        }
+    };
+}
+vector!(f32, f32x4);
+vector!(f64, f64x4);
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::runout::lanes::{self, Real};
+
+    /// Four numbers one by one.
+    #[derive(Clone, Copy, Debug)]
+    struct Plain<T>([T; 4]);
+
+    impl<T: Real> Plain<T> {
+        fn each(self, other: Self, f: impl Fn(T, T) -> T) -> Self {
+            let (a, b) = (self.0, other.0);
+            Self([f(a[0], b[0]), f(a[1], b[1]), f(a[2], b[2]), f(a[3], b[3])])
+        }
+    }
+
+    impl<T: Real> Vector<T> for Plain<T> {
+        fn load(from: &[T; 4]) -> Self {
+            Self(*from)
+        }
+
+        fn store(self, to: &mut [T; 4]) {
+            *to = self.0;
+        }
+
+        fn splat(x: T) -> Self {
+            Self([x; 4])
+        }
+
+        fn add(self, other: Self) -> Self {
+            self.each(other, |a, b| a + b)
+        }
+
+        fn sub(self, other: Self) -> Self {
+            self.each(other, |a, b| a - b)
+        }
+
+        fn mul(self, other: Self) -> Self {
+            self.each(other, |a, b| a * b)
+        }
+
+        fn min(self, other: Self) -> Self {
+            self.each(other, lanes::min)
+        }
+
+        fn max(self, other: Self) -> Self {
+            self.each(other, lanes::max)
+        }
+
+        fn flip_upper(self) -> Self {
+            let [a, b, c, d] = self.0;
+            Self([a, b, -c, -d])
+        }
+
+        fn lower(self) -> Self {
+            let [a, b, ..] = self.0;
+            Self([a, b, T::of(0.0), T::of(0.0)])
+        }
+    }
+
+    fn results<T: Real, V: Vector<T>>(a: &[T; 4], b: &[T; 4]) -> Vec<[u64; 4]> {
+        let (x, y) = (V::load(a), V::load(b));
+        let all = [x.add(y), x.sub(y), x.mul(y), x.min(y), x.max(y), x.flip_upper(), x.lower(), V::splat(a[1])];
+        let bits = |v: &V| {
+            let mut out = [T::of(0.0); 4];
+            v.store(&mut out);
+            out.map(|x| x.f64().to_bits())
+        };
+        all.iter().map(bits).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn every_machine_computes_what_arrays_do(
+            a in prop::array::uniform4(any::<f64>()),
+            b in prop::array::uniform4(any::<f64>()),
+        ) {
+            // the bits of what is no number are no part of the promise
+            prop_assume!(a.iter().chain(&b).all(|x| x.is_finite() && x.abs() < 1e150));
+            prop_assert_eq!(results::<f64, f64x4>(&a, &b), results::<f64, Plain<f64>>(&a, &b));
+            let (a, b) = (a.map(|x| (x / 1e120) as f32), b.map(|x| (x / 1e120) as f32));
+            prop_assert_eq!(results::<f32, f32x4>(&a, &b), results::<f32, Plain<f32>>(&a, &b));
+        }
+    }
+}
