@@ -5,6 +5,7 @@
 //! and only a file that cannot be understood as a whole is a [`FormatError`].
 
 mod csv_source;
+pub mod film;
 pub mod json;
 pub mod ndjson;
 pub mod observations_csv;

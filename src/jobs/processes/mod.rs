@@ -1,6 +1,7 @@
 //! What can be executed: one file a process, one list of them.
 
 pub mod echo;
+pub mod runout;
 pub mod train_model;
 
 use firn_science::progress::Progress;
@@ -24,6 +25,8 @@ pub enum Process {
     Echo,
     /// Trains and evaluates a model of a station.
     TrainModel,
+    /// Simulates the run-out of an avalanche.
+    Runout,
 }
 
 /// Inputs that were checked in full.
@@ -54,7 +57,7 @@ pub struct Description {
 
 impl Process {
     /// Every process.
-    pub const ALL: [Self; 2] = [Self::Echo, Self::TrainModel];
+    pub const ALL: [Self; 3] = [Self::Echo, Self::TrainModel, Self::Runout];
 
     /// Its id in every address.
     #[must_use]
@@ -62,6 +65,7 @@ impl Process {
         match self {
             Self::Echo => echo::ID,
             Self::TrainModel => train_model::ID,
+            Self::Runout => runout::ID,
         }
     }
 
@@ -77,6 +81,7 @@ impl Process {
         match self {
             Self::Echo => echo::description(),
             Self::TrainModel => train_model::description(),
+            Self::Runout => runout::description(),
         }
     }
 
@@ -94,6 +99,7 @@ impl Process {
         match self {
             Self::Echo => echo::accept(inputs),
             Self::TrainModel => train_model::accept(store, inputs).await,
+            Self::Runout => runout::accept(inputs),
         }
     }
 
@@ -110,6 +116,7 @@ impl Process {
                 echo::payload(&job.inputs, children)
             }
             Self::TrainModel => train_model::payload(store, job).await,
+            Self::Runout => runout::payload(job),
         }
     }
 
@@ -121,6 +128,7 @@ impl Process {
         match self {
             Self::Echo => echo::compute(payload, progress),
             Self::TrainModel => train_model::compute(payload, progress),
+            Self::Runout => runout::compute(payload, progress),
         }
     }
 

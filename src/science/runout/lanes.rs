@@ -173,7 +173,12 @@ macro_rules! real {
                 power * fraction + (power - 1.0)
             }
 
-            fn step(step: &Step<'_, $t>, blocks: &mut [Block<$t>], motion: &mut [Motion<$t>], grid: &mut ChunkGrid<$t>) {
+            fn step(
+                step: &Step<'_, $t>,
+                blocks: &mut [Block<$t>],
+                motion: &mut [Motion<$t>],
+                grid: &mut ChunkGrid<$t>,
+            ) {
                 super::transfer::$step(step, blocks, motion, grid)
             }
 
@@ -216,7 +221,8 @@ mod tests {
 
     /// Largest error of `f` against the platform's `g`, in units of the last place of `f64` times `scale`.
     fn worst(range: std::ops::Range<f64>, f: impl Fn(f64) -> f64, g: impl Fn(f64) -> f64) -> f64 {
-        (0..200_000).map(|i| range.start + (range.end - range.start) * f64::from(i) / 200_000.0)
+        (0..200_000)
+            .map(|i| range.start + (range.end - range.start) * f64::from(i) / 200_000.0)
             .map(|x| ((f(x) - g(x)) / g(x).abs().max(1e-300)).abs())
             .fold(0.0, f64::max)
     }
@@ -227,7 +233,8 @@ mod tests {
         for range in [-0.9..-1e-3, -1e-3..-1e-9, 1e-9..1e-3, 1e-3..4.0] {
             let error = worst(range.clone(), |x| ln_1p_pair(x, 0.5).0, f64::ln_1p);
             assert!(error < 1e-15, "{range:?}: {error:e}");
-            let error = worst(range.clone(), |x| f64::from(ln_1p_pair(0.5, x as f32).1), |x| f64::from(x as f32).ln_1p());
+            let error =
+                worst(range.clone(), |x| f64::from(ln_1p_pair(0.5, x as f32).1), |x| f64::from(x as f32).ln_1p());
             assert!(error < 3e-7, "{range:?}: {error:e}");
         }
     }
@@ -249,7 +256,9 @@ mod tests {
 
     #[test]
     fn the_nearest_integer_is_the_nearest() {
-        for (x, nearest) in [(0.0, 0), (0.4, 0), (-0.4, 0), (0.6, 1), (-0.6, -1), (1.49, 1), (-1.51, -2), (1000.2, 1000)] {
+        for (x, nearest) in
+            [(0.0, 0), (0.4, 0), (-0.4, 0), (0.6, 1), (-0.6, -1), (1.49, 1), (-1.51, -2), (1000.2, 1000)]
+        {
             assert_eq!(f64::nearest(x), (f64::from(nearest), nearest));
             assert_eq!(f32::nearest(x as f32), (nearest as f32, nearest));
         }

@@ -40,7 +40,9 @@ fn check_run(outcome: &Outcome, class: RegimeClass) {
     assert_eq!(summary.particles, 9600);
     assert!(summary.energy_closure < 0.02, "{}", summary.energy_closure);
     // frictionless fall from the top of the block to the flat
-    let free_fall = (2.0 * super::GRAVITY_M_S2 * (52.793 + 1.0 * 40_f64.to_radians().cos() + 6.0 * 40_f64.to_radians().sin())).sqrt();
+    let free_fall =
+        (2.0 * super::GRAVITY_M_S2 * (52.793 + 1.0 * 40_f64.to_radians().cos() + 6.0 * 40_f64.to_radians().sin()))
+            .sqrt();
     assert!(summary.particle_v_max < 1.15 * free_fall, "{}", summary.particle_v_max);
     let series = &outcome.observations.series;
     for (frame, time) in series.time_s.iter().enumerate() {
