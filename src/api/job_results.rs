@@ -42,7 +42,7 @@ pub struct OutputPath {
 }
 
 /// The results document of a successful job; of any other, why there is none.
-async fn results(state: &AppState, job: &Job) -> ApiResult<Value> {
+pub async fn results(state: &AppState, job: &Job) -> ApiResult<Value> {
     match job.status {
         Status::Successful => {
             let results = state.store.job_results(job.id).await?;

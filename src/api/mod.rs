@@ -8,6 +8,7 @@ mod feature_sets;
 mod forecasts;
 mod health;
 mod imports;
+mod job_frames;
 mod job_history;
 mod job_results;
 mod jobs;
@@ -19,6 +20,7 @@ pub mod problem;
 mod processes;
 mod respond;
 mod router;
+mod scenarios;
 pub(crate) mod stations;
 
 use std::sync::Arc;

@@ -171,7 +171,7 @@ pub async fn list_observations(
     conditions: Conditions,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let csv = respond::wants_csv(&headers)
+    let csv = respond::prefers(&headers, "text/csv")
         .ok_or_else(|| Problem::new(Code::NotAcceptable, "served as application/json and text/csv"))?;
     let station = state.station(&path.station).await?;
     let limit = Limit::or_default(query.limit);

@@ -127,10 +127,16 @@ fn further_refusals(operation_id: Option<&str>) -> &'static [&'static str] {
     match operation_id {
         Some("execute_process" | "dismiss_job") => &["409"],
         Some("list_observations") => &["406"],
+        Some("get_job_frame") => &["406", "422"],
         Some("get_job_output") => &["416", "422"],
-        Some("get_job_results" | "list_forecasts" | "get_latest_forecast" | "get_forecast" | "list_similar_days") => {
-            &["422"]
-        }
+        Some(
+            "get_job_results"
+            | "list_job_frames"
+            | "list_forecasts"
+            | "get_latest_forecast"
+            | "get_forecast"
+            | "list_similar_days",
+        ) => &["422"],
         _ => &[],
     }
 }

@@ -49,8 +49,8 @@ pub fn link_next(response: &mut Response, url: &str) {
     }
 }
 
-/// Whether the caller prefers `text/csv` to JSON by its `Accept`; none where it accepts neither.
-pub fn wants_csv(headers: &axum::http::HeaderMap) -> Option<bool> {
+/// Whether the caller prefers `media_type` to JSON by its `Accept`; none where it accepts neither.
+pub fn prefers(headers: &axum::http::HeaderMap, media_type: &str) -> Option<bool> {
     let Some(accept) = headers.get(header::ACCEPT) else { return Some(false) };
     let accept = accept.to_str().ok()?.to_ascii_lowercase();
     let quality = |wanted: &[&str]| -> f32 {
@@ -65,9 +65,11 @@ pub fn wants_csv(headers: &axum::http::HeaderMap) -> Option<bool> {
             .fold(0.0, f32::max)
     };
     let json = quality(&["application/json", "application/*"]);
-    let csv = quality(&["text/csv", "text/*"]);
+    let family = media_type.split('/').next().map(|family| format!("{family}/*")).unwrap_or_default();
+    // a range that covers both prefers neither
+    let other = if family == "application/*" { quality(&[media_type]) } else { quality(&[media_type, &family]) };
     let any = quality(&["*/*"]);
-    if csv > json.max(any) {
+    if other > json.max(any) {
         Some(true)
     } else if json > 0.0 || any > 0.0 {
         Some(false)
@@ -81,11 +83,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn csv_is_served_to_whoever_prefers_it() {
+    fn what_is_preferred_is_served() {
         let wants = |accept: &str| {
             let mut headers = axum::http::HeaderMap::new();
             headers.insert(header::ACCEPT, HeaderValue::from_str(accept).unwrap());
-            wants_csv(&headers)
+            prefers(&headers, "text/csv")
         };
         assert_eq!(wants("text/csv"), Some(true));
         assert_eq!(wants("application/json"), Some(false));
@@ -93,6 +95,12 @@ mod tests {
         assert_eq!(wants("text/html,*/*;q=0.8"), Some(false));
         assert_eq!(wants("text/csv;q=0.5, application/json"), Some(false));
         assert_eq!(wants("image/png"), None);
-        assert_eq!(wants_csv(&axum::http::HeaderMap::new()), Some(false));
+        assert_eq!(prefers(&axum::http::HeaderMap::new(), "text/csv"), Some(false));
+        let bytes = |accept: &'static str| {
+            let headers = [(header::ACCEPT, HeaderValue::from_static(accept))].into_iter().collect();
+            prefers(&headers, "application/octet-stream")
+        };
+        assert_eq!(bytes("application/octet-stream"), Some(true));
+        assert_eq!(bytes("application/*"), Some(false));
     }
 }

@@ -24,9 +24,10 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use super::{
     AppState, auth, avalanches, docs,
     extract::BodyLimit,
-    feature_sets, forecasts, health, imports, job_history, job_results, jobs, landing, models, observations, openapi,
+    feature_sets, forecasts, health, imports, job_frames, job_history, job_results, jobs, landing, models,
+    observations, openapi,
     problem::{ApiError, REQUEST_ID, from_panic},
-    processes, stations,
+    processes, scenarios, stations,
 };
 use crate::domain::{
     ids::new_id,
@@ -56,10 +57,13 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(processes::list_processes))
         .routes(routes!(processes::get_process))
         .routes(routes!(processes::execute_process))
+        .routes(routes!(scenarios::list_scenarios))
         .routes(routes!(jobs::list_jobs))
         .routes(routes!(jobs::get_job, jobs::dismiss_job))
         .routes(routes!(job_results::get_results))
         .routes(routes!(job_results::get_output))
+        .routes(routes!(job_frames::list_frames))
+        .routes(routes!(job_frames::get_frame))
         .routes(routes!(job_history::stream_events))
         .routes(routes!(job_history::get_log))
         .routes(routes!(job_history::get_inputs))
