@@ -32,10 +32,10 @@ pub struct Settings {
     /// Requests that are worked on at once; more are refused with 503 [default: 512]
     #[arg(long, env = "FIRN_MAX_REQUESTS", value_name = "N")]
     pub max_requests: Option<NonZeroUsize>,
-    /// Threads that compute jobs [default: the number of cores]
+    /// Threads that each job computes with; jobs that run at once share the cores [default: the number of cores]
     #[arg(long, env = "FIRN_COMPUTE_THREADS", value_name = "N")]
     pub compute_threads: Option<NonZeroUsize>,
-    /// Jobs that run at once; they share the compute threads [default: 2]
+    /// Jobs that run at once [default: 2]
     #[arg(long, env = "FIRN_JOB_SLOTS", value_name = "N")]
     pub job_slots: Option<NonZeroUsize>,
     /// Jobs that may wait; more are refused with 503 [default: 10000]
@@ -48,6 +48,9 @@ pub struct Settings {
     /// Seconds that a worker on another machine may be silent before its job is given to another [default: 30]
     #[arg(long, env = "FIRN_LEASE_S", value_name = "S", value_parser = clap::value_parser!(u64).range(1..=3600))]
     pub lease_s: Option<u64>,
+    /// Seconds for which a computation may make no step before its job is failed as `stalled` [default: 900]
+    #[arg(long, env = "FIRN_STALL_S", value_name = "S", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    pub stall_s: Option<u64>,
     /// Days that ended jobs are kept [default: 90]
     #[arg(long, env = "FIRN_KEEP_JOBS_DAYS", value_name = "DAYS")]
     pub keep_jobs_days: Option<u32>,
@@ -122,7 +125,7 @@ pub struct Config {
     pub request_timeout: Duration,
     /// Requests that are worked on at once.
     pub max_requests: usize,
-    /// Threads that compute jobs.
+    /// Threads that each job computes with.
     pub compute_threads: usize,
     /// Jobs that run at once.
     pub job_slots: usize,
@@ -132,6 +135,8 @@ pub struct Config {
     pub engine: EngineAddress,
     /// How long a worker may be silent.
     pub lease: Duration,
+    /// How long a computation may make no step.
+    pub stall: Duration,
     /// Days that ended jobs are kept.
     pub keep_jobs_days: u32,
     /// Bytes that ended jobs may need before the oldest go.
@@ -193,6 +198,7 @@ impl Settings {
             max_queue: self.max_queue.or(file.max_queue).unwrap_or(10_000),
             engine: self.engine.or(file.engine).unwrap_or(EngineAddress::Local),
             lease: Duration::from_secs(self.lease_s.or(file.lease_s).unwrap_or(30)),
+            stall: Duration::from_secs(self.stall_s.or(file.stall_s).unwrap_or(900)),
             keep_jobs_days: self.keep_jobs_days.or(file.keep_jobs_days).unwrap_or(90),
             keep_jobs_bytes: self.keep_jobs_mib.or(file.keep_jobs_mib).unwrap_or(20 * 1024).saturating_mul(1024 * 1024),
             shutdown_timeout: Duration::from_secs(self.shutdown_timeout_s.or(file.shutdown_timeout_s).unwrap_or(20)),

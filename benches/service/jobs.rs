@@ -69,14 +69,14 @@ async fn queue(round: usize) -> Outcome<()> {
     for _ in 0..4 {
         let mut long = echo(0);
         long.inputs = json!({"message": "held", "delay_s": 600});
-        let render = |job: &Job| Answer { location: String::new(), body: json!(job.id) };
+        let render = |job: &Job, _: bool| Answer { location: String::new(), body: json!(job.id) };
         if let Submitted::New(answer) = state.desk.submit(long, render).await.map_err(|problem| problem.to_string())? {
             held.push(serde_json::from_value(answer.body)?);
         }
     }
     let since = Instant::now();
     for number in 0..JOBS {
-        let render = |job: &Job| Answer { location: String::new(), body: json!(job.id) };
+        let render = |job: &Job, _: bool| Answer { location: String::new(), body: json!(job.id) };
         state.desk.submit(echo(number), render).await.map_err(|problem| problem.to_string())?;
     }
     let accepted = since.elapsed();

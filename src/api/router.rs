@@ -24,7 +24,8 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use super::{
     AppState, auth, avalanches, docs,
     extract::BodyLimit,
-    feature_sets, forecasts, health, imports, job_history, job_results, jobs, landing, models, observations, openapi,
+    feature_sets, forecasts, health, imports, job_history, job_results, jobs, landing, metrics, models, observations,
+    openapi,
     problem::{ApiError, REQUEST_ID, from_panic},
     processes, stations,
 };
@@ -40,7 +41,9 @@ const LONGEST_REQUEST_ID: usize = 128;
 
 /// Answered however busy the service is: whoever watches it must not end a process that works hard.
 fn vital_signs() -> OpenApiRouter<AppState> {
-    OpenApiRouter::with_openapi(openapi::Document::openapi()).routes(routes!(health::livez))
+    OpenApiRouter::with_openapi(openapi::Document::openapi())
+        .routes(routes!(health::livez))
+        .routes(routes!(metrics::metrics))
 }
 
 fn routes() -> OpenApiRouter<AppState> {
@@ -115,6 +118,7 @@ pub fn router(state: AppState) -> Router {
         .layer(CatchPanicLayer::custom(from_panic))
         .layer(CompressionLayer::new())
         .layer(middleware::from_fn(with_request_id))
+        .layer(middleware::from_fn_with_state(state.clone(), metrics::time_requests))
         .layer(TraceLayer::new_for_http().make_span_with(request_span).on_response(log_response))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID_HEADER))
         .layer(SetRequestIdLayer::new(REQUEST_ID_HEADER, NewRequestId))

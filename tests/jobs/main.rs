@@ -13,6 +13,7 @@ mod idempotency;
 mod large_outputs;
 mod life;
 mod lost_workers;
+mod metrics;
 mod processes;
 mod retention;
 mod reuse;

@@ -96,11 +96,11 @@ pub struct WorkerProcess {
 
 impl WorkerProcess {
     /// Starts one.
-    pub fn start(url: &str, name: &str, lease_s: u64, slots: usize) -> Self {
+    pub fn start(url: &str, name: &str, slots: usize) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_firn"))
             .env_clear()
-            .args(["worker", "--engine", url, "--name", name, "--lease-s", &lease_s.to_string()])
-            .args(["--job-slots", &slots.to_string(), "--compute-threads", &slots.to_string()])
+            .args(["worker", "--engine", url, "--name", name])
+            .args(["--job-slots", &slots.to_string(), "--compute-threads", "1"])
             .stdin(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()
