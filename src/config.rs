@@ -10,6 +10,8 @@ use std::{
 use clap::Args;
 use serde::Deserialize;
 
+use crate::jobs::artifacts::ArtifactAddress;
+
 /// What can be set; every field may come from a flag, an environment variable or the TOML file.
 #[derive(Args, Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -41,6 +43,11 @@ pub struct Settings {
     /// Jobs that may wait; more are refused with 503 [default: 10000]
     #[arg(long, env = "FIRN_MAX_QUEUE", value_name = "N")]
     pub max_queue: Option<u32>,
+    /// Where large outputs lie: a folder or, built with the feature `s3`, s3://BUCKET/PREFIX with address and credentials
+    /// of the service in AWS_ENDPOINT, AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY [default: `artifacts` below
+    /// the folder of the database]
+    #[arg(long, env = "FIRN_ARTIFACTS", value_name = "PLACE")]
+    pub artifacts: Option<ArtifactAddress>,
     /// What carries jobs to workers: `local` (in this process) or the address of a NATS server with JetStream, such as
     /// nats://127.0.0.1:4222 [default: local]
     #[arg(long, env = "FIRN_ENGINE", value_name = "ENGINE")]
@@ -131,6 +138,8 @@ pub struct Config {
     pub job_slots: usize,
     /// Jobs that may wait.
     pub max_queue: u32,
+    /// Where large outputs lie.
+    pub artifacts: ArtifactAddress,
     /// What carries jobs to workers.
     pub engine: EngineAddress,
     /// How long a worker may be silent.
@@ -186,9 +195,14 @@ impl Settings {
         const MIB: usize = 1024 * 1024;
         let cores = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let loopback = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8080);
+        let data_dir = self.data_dir.or(file.data_dir).unwrap_or_else(|| "firn-data".into());
         Config {
             listen: self.listen.or(file.listen).unwrap_or(loopback),
-            data_dir: self.data_dir.or(file.data_dir).unwrap_or_else(|| "firn-data".into()),
+            artifacts: self
+                .artifacts
+                .or(file.artifacts)
+                .unwrap_or_else(|| ArtifactAddress::Folder(data_dir.join("artifacts"))),
+            data_dir,
             allow_anonymous: self.allow_anonymous.or(file.allow_anonymous).unwrap_or(false),
             max_body_bytes: self.max_body_mib.or(file.max_body_mib).unwrap_or(32).saturating_mul(MIB),
             request_timeout: Duration::from_secs(self.request_timeout_s.or(file.request_timeout_s).unwrap_or(30)),

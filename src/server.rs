@@ -47,7 +47,7 @@ impl Server {
         let listener = TcpListener::bind(config.listen)
             .await
             .map_err(|error| format!("{} cannot be listened on: {error}", config.listen))?;
-        let artifacts = Artifacts::folder(&config.data_dir.join("artifacts"))?;
+        let artifacts = Artifacts::open(&config.artifacts).await?;
         let rules = Rules { most_waiting: config.max_queue, lease: config.lease };
         let (desk, worker, questions) = match &config.engine {
             EngineAddress::Local => {

@@ -18,6 +18,8 @@ mod processes;
 mod retention;
 mod reuse;
 mod rig;
+#[cfg(feature = "s3")]
+mod s3;
 mod shutdown;
 #[path = "../api/support/mod.rs"]
 #[allow(dead_code, unused_imports, reason = "shared with the tests of the API, which use more of it")]
