@@ -1,7 +1,8 @@
 //! Background jobs that nobody loses: both engines under one contract, killed processes, and the whole job API.
 //!
 //! `rig` puts a desk, an engine and workers together in this process; `processes` are built `firn` processes and NATS
-//! servers, for what only a process can show. Tests that need `nats-server` say that they are skipped where it is absent.
+//! servers, for what only a process can show. Tests that need `nats-server` say that they are skipped where it is absent;
+//! `FIRN_NATS_SERVER` names another one than that of the system.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 #![allow(clippy::print_stdout, reason = "a skipped test says so")]
 

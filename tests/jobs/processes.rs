@@ -77,8 +77,9 @@ fn free_port() -> u16 {
 }
 
 fn spawn_nats(port: u16, store: &TempDir) -> std::io::Result<Child> {
-    let program =
-        if std::path::Path::new("/usr/sbin/nats-server").exists() { "/usr/sbin/nats-server" } else { "nats-server" };
+    let debian = "/usr/sbin/nats-server";
+    let program = std::env::var("FIRN_NATS_SERVER")
+        .unwrap_or_else(|_| if std::path::Path::new(debian).exists() { debian.into() } else { "nats-server".into() });
     Command::new(program)
         .args(["-js", "-a", "127.0.0.1", "-p", &port.to_string(), "-sd"])
         .arg(store.path())
