@@ -10,6 +10,8 @@ use std::{
 use clap::Args;
 use serde::Deserialize;
 
+use crate::jobs::artifacts::ArtifactAddress;
+
 /// What can be set; every field may come from a flag, an environment variable or the TOML file.
 #[derive(Args, Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -32,15 +34,20 @@ pub struct Settings {
     /// Requests that are worked on at once; more are refused with 503 [default: 512]
     #[arg(long, env = "FIRN_MAX_REQUESTS", value_name = "N")]
     pub max_requests: Option<NonZeroUsize>,
-    /// Threads that compute jobs [default: the number of cores]
+    /// Threads that each job computes with; jobs that run at once share the cores [default: the number of cores]
     #[arg(long, env = "FIRN_COMPUTE_THREADS", value_name = "N")]
     pub compute_threads: Option<NonZeroUsize>,
-    /// Jobs that run at once; they share the compute threads [default: 2]
+    /// Jobs that run at once [default: 2]
     #[arg(long, env = "FIRN_JOB_SLOTS", value_name = "N")]
     pub job_slots: Option<NonZeroUsize>,
     /// Jobs that may wait; more are refused with 503 [default: 10000]
     #[arg(long, env = "FIRN_MAX_QUEUE", value_name = "N")]
     pub max_queue: Option<u32>,
+    /// Where large outputs lie: a folder or, built with the feature `s3`, s3://BUCKET/PREFIX with address and credentials
+    /// of the service in AWS_ENDPOINT, AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY [default: `artifacts` below
+    /// the folder of the database]
+    #[arg(long, env = "FIRN_ARTIFACTS", value_name = "PLACE")]
+    pub artifacts: Option<ArtifactAddress>,
     /// What carries jobs to workers: `local` (in this process) or the address of a NATS server with JetStream, such as
     /// nats://127.0.0.1:4222 [default: local]
     #[arg(long, env = "FIRN_ENGINE", value_name = "ENGINE")]
@@ -48,6 +55,9 @@ pub struct Settings {
     /// Seconds that a worker on another machine may be silent before its job is given to another [default: 30]
     #[arg(long, env = "FIRN_LEASE_S", value_name = "S", value_parser = clap::value_parser!(u64).range(1..=3600))]
     pub lease_s: Option<u64>,
+    /// Seconds for which a computation may make no step before its job is failed as `stalled` [default: 900]
+    #[arg(long, env = "FIRN_STALL_S", value_name = "S", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    pub stall_s: Option<u64>,
     /// Days that ended jobs are kept [default: 90]
     #[arg(long, env = "FIRN_KEEP_JOBS_DAYS", value_name = "DAYS")]
     pub keep_jobs_days: Option<u32>,
@@ -122,16 +132,20 @@ pub struct Config {
     pub request_timeout: Duration,
     /// Requests that are worked on at once.
     pub max_requests: usize,
-    /// Threads that compute jobs.
+    /// Threads that each job computes with.
     pub compute_threads: usize,
     /// Jobs that run at once.
     pub job_slots: usize,
     /// Jobs that may wait.
     pub max_queue: u32,
+    /// Where large outputs lie.
+    pub artifacts: ArtifactAddress,
     /// What carries jobs to workers.
     pub engine: EngineAddress,
     /// How long a worker may be silent.
     pub lease: Duration,
+    /// How long a computation may make no step.
+    pub stall: Duration,
     /// Days that ended jobs are kept.
     pub keep_jobs_days: u32,
     /// Bytes that ended jobs may need before the oldest go.
@@ -181,9 +195,14 @@ impl Settings {
         const MIB: usize = 1024 * 1024;
         let cores = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let loopback = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8080);
+        let data_dir = self.data_dir.or(file.data_dir).unwrap_or_else(|| "firn-data".into());
         Config {
             listen: self.listen.or(file.listen).unwrap_or(loopback),
-            data_dir: self.data_dir.or(file.data_dir).unwrap_or_else(|| "firn-data".into()),
+            artifacts: self
+                .artifacts
+                .or(file.artifacts)
+                .unwrap_or_else(|| ArtifactAddress::Folder(data_dir.join("artifacts"))),
+            data_dir,
             allow_anonymous: self.allow_anonymous.or(file.allow_anonymous).unwrap_or(false),
             max_body_bytes: self.max_body_mib.or(file.max_body_mib).unwrap_or(32).saturating_mul(MIB),
             request_timeout: Duration::from_secs(self.request_timeout_s.or(file.request_timeout_s).unwrap_or(30)),
@@ -193,6 +212,7 @@ impl Settings {
             max_queue: self.max_queue.or(file.max_queue).unwrap_or(10_000),
             engine: self.engine.or(file.engine).unwrap_or(EngineAddress::Local),
             lease: Duration::from_secs(self.lease_s.or(file.lease_s).unwrap_or(30)),
+            stall: Duration::from_secs(self.stall_s.or(file.stall_s).unwrap_or(900)),
             keep_jobs_days: self.keep_jobs_days.or(file.keep_jobs_days).unwrap_or(90),
             keep_jobs_bytes: self.keep_jobs_mib.or(file.keep_jobs_mib).unwrap_or(20 * 1024).saturating_mul(1024 * 1024),
             shutdown_timeout: Duration::from_secs(self.shutdown_timeout_s.or(file.shutdown_timeout_s).unwrap_or(20)),

@@ -68,7 +68,7 @@ pub async fn start(state: &AppState, address: SocketAddr) -> Result<(), ServerEr
             anew: false,
             reservation: None,
         };
-        let render = |job: &Job| Answer { location: format!("/v1/jobs/{}", job.id), body: json!(null) };
+        let render = |job: &Job, _| Answer { location: format!("/v1/jobs/{}", job.id), body: json!(null) };
         match state.desk.submit(submission, render).await {
             Ok(Submitted::New(answer)) => {
                 tracing::info!("the demo trains its model: http://{address}{}", answer.location)

@@ -158,9 +158,9 @@ async fn run_worker(work: Work) -> Result<(), ServerError> {
     let stop = shutdown::on_signal()?;
     let host = std::env::var("HOSTNAME").unwrap_or_else(|_| "worker".into());
     let name = work.name.unwrap_or_else(|| format!("{host}-{}", std::process::id()));
-    let options = WorkerOptions { name, threads: config.compute_threads, slots: config.job_slots };
+    let options = WorkerOptions { name, threads: config.compute_threads, slots: config.job_slots, stall: config.stall };
     tracing::info!(name = options.name, slots = options.slots, "firn works for {address}");
-    server::work(address, config.lease, options, config.shutdown_timeout, stop).await
+    server::work(address, options, config.shutdown_timeout, stop).await
 }
 
 async fn run_key(command: Key) -> Result<(), ServerError> {

@@ -6,10 +6,10 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 use crate::{
-    api::{self, AppState, auth},
+    api::{self, AppState, auth, metrics::Metrics},
     config::{Config, EngineAddress},
     jobs::{
-        Desk,
+        Desk, Rules,
         artifacts::Artifacts,
         caretaker::{self, Keep},
         engine::{Engine, local::Local, nats::Nats},
@@ -47,26 +47,32 @@ impl Server {
         let listener = TcpListener::bind(config.listen)
             .await
             .map_err(|error| format!("{} cannot be listened on: {error}", config.listen))?;
-        let artifacts = Artifacts::folder(&config.data_dir.join("artifacts"))?;
+        let artifacts = Artifacts::open(&config.artifacts).await?;
+        let rules = Rules { most_waiting: config.max_queue, lease: config.lease };
         let (desk, worker, questions) = match &config.engine {
             EngineAddress::Local => {
                 let engine: Arc<dyn Engine> = Arc::new(Local::default());
-                let desk = Desk::new(store.clone(), Arc::clone(&engine), artifacts, config.max_queue);
+                let desk = Desk::new(store.clone(), Arc::clone(&engine), artifacts, rules);
                 caretaker::take_up(&desk, true).await?;
-                let options =
-                    WorkerOptions { name: "local".into(), threads: config.compute_threads, slots: config.job_slots };
+                let options = WorkerOptions {
+                    name: "local".into(),
+                    threads: config.compute_threads,
+                    slots: config.job_slots,
+                    stall: config.stall,
+                };
                 let worker = Worker::start(engine, Arc::new(desk.clone()), options)?;
                 (desk, Some(worker), None)
             }
             EngineAddress::Nats(address) => {
                 let engine = Nats::connect(address, config.lease).await?;
                 let client = engine.client();
-                let desk = Desk::new(store.clone(), Arc::new(engine), artifacts, config.max_queue);
+                let desk = Desk::new(store.clone(), Arc::new(engine), artifacts, rules);
                 caretaker::take_up(&desk, false).await?;
                 (desk, None, Some(client))
             }
         };
-        let state = AppState { store, desk, config: Arc::new(config), stopping: CancellationToken::new() };
+        let metrics = Metrics::new()?;
+        let state = AppState { store, desk, metrics, config: Arc::new(config), stopping: CancellationToken::new() };
         Ok(Self { listener, state, worker, questions, _lock: lock })
     }
 
@@ -93,6 +99,7 @@ impl Server {
         let Self { listener, state, worker, questions, _lock } = self;
         let keep = Keep { days: state.config.keep_jobs_days, bytes: state.config.keep_jobs_bytes };
         let caretaker = tokio::spawn(caretaker::run(state.desk.clone(), keep, stop.clone()));
+        tokio::spawn(state.metrics.clone().upkeep(stop.clone()));
         if let Some(client) = questions {
             tokio::spawn(answer_workers(client, state.desk.clone(), stop.clone()));
         }
@@ -160,12 +167,11 @@ async fn answer_workers(client: async_nats::Client, desk: Desk, stop: Cancellati
 /// Where the NATS server does not answer, or the system gives no threads.
 pub async fn work(
     address: &str,
-    lease: Duration,
     options: WorkerOptions,
     deadline: Duration,
     stop: CancellationToken,
 ) -> Result<(), ServerError> {
-    let engine = Arc::new(Nats::connect(address, lease).await?);
+    let engine = Arc::new(Nats::connect_to_work(address).await?);
     let link = NatsLink::new(engine.client());
     let worker = Worker::start(Arc::clone(&engine) as Arc<dyn Engine>, Arc::new(link), options)?;
     stop.cancelled().await;

@@ -4,15 +4,24 @@
 
 use std::{
     error::Error,
+    sync::Arc,
     time::{Duration, Instant},
 };
 
 use firn::{
     config::{Config, Settings},
     domain::job::{Job, Labels, Priority},
-    jobs::{Submission, Submitted, processes::Process},
+    jobs::{
+        Desk, Rules, Submission, Submitted,
+        artifacts::Artifacts,
+        engine::{Engine, local::Local},
+        link::Output,
+        processes::Process,
+        worker::{Worker, WorkerOptions},
+    },
+    science::progress::Progress,
     server::Server,
-    store::jobs::Answer,
+    store::{Store, jobs::Answer},
 };
 use serde_json::{Value, json};
 use tokio::task::JoinSet;
@@ -36,6 +45,9 @@ async fn main() -> Outcome<()> {
     println!("{cores} cores; data on {}", std::env::temp_dir().display());
     for round in 1..=3 {
         queue(round).await?;
+    }
+    for mib in [1, 16] {
+        states(mib).await?;
     }
     polls().await
 }
@@ -69,14 +81,14 @@ async fn queue(round: usize) -> Outcome<()> {
     for _ in 0..4 {
         let mut long = echo(0);
         long.inputs = json!({"message": "held", "delay_s": 600});
-        let render = |job: &Job| Answer { location: String::new(), body: json!(job.id) };
+        let render = |job: &Job, _: bool| Answer { location: String::new(), body: json!(job.id) };
         if let Submitted::New(answer) = state.desk.submit(long, render).await.map_err(|problem| problem.to_string())? {
             held.push(serde_json::from_value(answer.body)?);
         }
     }
     let since = Instant::now();
     for number in 0..JOBS {
-        let render = |job: &Job| Answer { location: String::new(), body: json!(job.id) };
+        let render = |job: &Job, _: bool| Answer { location: String::new(), body: json!(job.id) };
         state.desk.submit(echo(number), render).await.map_err(|problem| problem.to_string())?;
     }
     let accepted = since.elapsed();
@@ -95,6 +107,64 @@ async fn queue(round: usize) -> Outcome<()> {
         rate(done)
     );
     state.store.close().await;
+    Ok(())
+}
+
+/// Computes on every core while states of so many MiB are saved as often as the worker wishes.
+async fn states(mib: usize) -> Outcome<()> {
+    const SECONDS: f64 = 22.0;
+    let folder = tempfile::tempdir()?;
+    let store = Store::open(folder.path()).await?;
+    let engine: Arc<dyn Engine> = Arc::new(Local::default());
+    let rules = Rules { most_waiting: 10, lease: Duration::from_secs(30) };
+    let artifacts = Artifacts::folder(&folder.path().join("artifacts"))?;
+    let desk = Desk::new(store.clone(), Arc::clone(&engine), artifacts, rules);
+    let state = vec![1_u8; mib * 1024 * 1024];
+    let compute = move |_: Process, _: &[u8], progress: &dyn Progress| {
+        let since = Instant::now();
+        while since.elapsed().as_secs_f64() < SECONDS {
+            progress.report(since.elapsed().as_secs_f64() / SECONDS, "computing");
+            progress.checkpoint(&|| state.clone());
+            let step = Instant::now();
+            while step.elapsed() < Duration::from_millis(20) {
+                std::hint::spin_loop();
+            }
+        }
+        Ok(Output { results: json!({}), ..Output::default() })
+    };
+    let cores = std::thread::available_parallelism()?.get();
+    let options = WorkerOptions { name: "bench".into(), threads: 1, slots: cores, stall: Duration::from_secs(60) };
+    let worker = Worker::start_with(engine, Arc::new(desk.clone()), Arc::new(compute), options)?;
+    let mut jobs: Vec<uuid::Uuid> = Vec::new();
+    for number in 0..cores {
+        let render = |job: &Job, _: bool| Answer { location: String::new(), body: json!(job.id) };
+        if let Submitted::New(answer) =
+            desk.submit(echo(number), render).await.map_err(|problem| problem.to_string())?
+        {
+            jobs.push(serde_json::from_value(answer.body)?);
+        }
+    }
+    for id in jobs {
+        let job = loop {
+            let job = store.job(id).await?.ok_or("the job is gone")?;
+            if job.status.ended() {
+                break job;
+            }
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        };
+        let spent = job.spent;
+        let share = |ms: u64| 100.0 * ms as f64 / spent.compute_ms as f64;
+        println!(
+            "states of {mib} MiB: {} in {:.1} s of computing; it stood still for {:.3} % of the time to save them, and \
+             storing them took {:.2} % beside it (target: 3 % together)",
+            spent.states,
+            spent.compute_ms as f64 / 1e3,
+            share(spent.saving_ms),
+            share(spent.storing_ms)
+        );
+    }
+    worker.stop(Duration::from_secs(5)).await;
+    store.close().await;
     Ok(())
 }
 

@@ -84,8 +84,14 @@ pub struct Provenance {
     submitted_by: Option<String>,
     /// Time in the queue before the first attempt, s.
     queued_seconds: Option<f64>,
-    /// Computing time over all attempts, s.
+    /// Computing time over all attempts, s; of one that ended without a word, up to its last sign of life.
     computed_seconds: f64,
+    /// How many states were stored to go on from, without those of an attempt that ended without a word.
+    states: u32,
+    /// For how much of the computing it stood still to save them, s.
+    saving_seconds: f64,
+    /// How long it took to store them, beside the computing, s.
+    storing_seconds: f64,
 }
 
 /// The events of a job as a stream (`text/event-stream`): `status` and `progress`, each with an id that `Last-Event-ID`
@@ -182,6 +188,7 @@ pub async fn get_provenance(
     conditions: Conditions,
 ) -> ApiResult<Response> {
     let job = find(&state, path.job_id).await?;
+    let seconds = |ms: u64| Duration::from_millis(ms).as_secs_f64();
     let provenance = Provenance {
         process_id: job.process_id,
         version: job.version,
@@ -192,7 +199,10 @@ pub async fn get_provenance(
         worker: job.worker,
         submitted_by: job.submitted_by,
         queued_seconds: job.started.map(|started| started.duration_since(job.created).as_secs_f64()),
-        computed_seconds: std::time::Duration::from_millis(job.compute_ms).as_secs_f64(),
+        computed_seconds: seconds(job.spent.compute_ms),
+        states: job.spent.states,
+        saving_seconds: seconds(job.spent.saving_ms),
+        storing_seconds: seconds(job.spent.storing_ms),
     };
     respond::resource(&conditions, &provenance)
 }

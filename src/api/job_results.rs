@@ -4,11 +4,12 @@ use std::ops::RangeInclusive;
 
 use axum::{
     extract::State,
-    http::{HeaderMap, HeaderValue, StatusCode, header},
+    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
 use serde::Deserialize;
 use serde_json::Value;
+use sha2::{Digest, Sha256};
 use utoipa::IntoParams;
 use uuid::Uuid;
 
@@ -26,6 +27,9 @@ use crate::{
     },
     store::jobs::OutputRecord,
 };
+
+/// The digest of a whole output (RFC 9530), also where a part of it is sent.
+pub const REPR_DIGEST: HeaderName = HeaderName::from_static("repr-digest");
 
 /// Which output of which job.
 #[derive(Deserialize, IntoParams)]
@@ -119,13 +123,15 @@ async fn bytes(
     };
     let range = wanted.clone().map_or(0..output.size, |range| *range.start()..range.end() + 1);
     let body = state.desk.artifacts().get(&output.sha256, range).await.map_err(Problem::internal)?;
+    let content_digest = digest(&Sha256::digest(&body));
     let mut response = body.into_response();
     let answer = response.headers_mut();
     let value = |text: &str| HeaderValue::from_str(text).map_err(Problem::internal);
     answer.insert(header::CONTENT_TYPE, value(&output.media_type)?);
     answer.insert(header::ETAG, value(&tag)?);
     answer.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
-    answer.insert("repr-digest", value(&format!("sha-256=:{}:", base64_of_hex(&output.sha256)))?);
+    answer.insert(REPR_DIGEST, value(&digest(&bytes_of_hex(&output.sha256)))?);
+    answer.insert("content-digest", value(&content_digest)?);
     answer.insert(header::CONTENT_DISPOSITION, HeaderValue::from_static("attachment"));
     if let Some(range) = wanted {
         let place = format!("bytes {}-{}/{}", range.start(), range.end(), output.size);
@@ -153,12 +159,14 @@ fn wanted_range(headers: &HeaderMap, tag: &str, size: u64) -> Result<Option<Rang
     }
 }
 
-/// A digest in hex as the base64 that `Repr-Digest` (RFC 9530) wants.
-fn base64_of_hex(hex: &str) -> String {
+/// A SHA-256 as `Repr-Digest` and `Content-Digest` (RFC 9530) have it.
+fn digest(sha256: &[u8]) -> String {
     use base64::Engine as _;
-    let bytes: Vec<u8> =
-        (0..hex.len() / 2).filter_map(|at| u8::from_str_radix(hex.get(2 * at..2 * at + 2)?, 16).ok()).collect();
-    base64::engine::general_purpose::STANDARD.encode(bytes)
+    format!("sha-256=:{}:", base64::engine::general_purpose::STANDARD.encode(sha256))
+}
+
+fn bytes_of_hex(hex: &str) -> Vec<u8> {
+    (0..hex.len() / 2).filter_map(|at| u8::from_str_radix(hex.get(2 * at..2 * at + 2)?, 16).ok()).collect()
 }
 
 #[cfg(test)]
@@ -184,6 +192,6 @@ mod tests {
 
     #[test]
     fn a_digest_is_written_in_base64() {
-        assert_eq!(base64_of_hex("000102ff"), "AAEC/w==");
+        assert_eq!(digest(&bytes_of_hex("000102ff")), "sha-256=:AAEC/w==:");
     }
 }

@@ -371,7 +371,8 @@ pub async fn news_of(id: Uuid, changes: &mut broadcast::Receiver<Uuid>) {
     }
 }
 
-/// Gives a job up: one that has not ended is dismissed and its computation stops; one that has ended is removed.
+/// Gives a job up: one that has not ended is dismissed and its computation stops; one that has ended is removed, with its
+/// children. An ended child is not removed before its parent: 409.
 #[utoipa::path(delete, path = "/v1/jobs/{jobID}", operation_id = "dismiss_job", tag = "jobs", params(JobPath),
     responses((status = 200, description = "Its last status document.", body = StatusInfo)))]
 pub async fn dismiss_job(State(state): State<AppState>, Path(path): Path<JobPath>) -> ApiResult<Response> {
@@ -381,6 +382,10 @@ pub async fn dismiss_job(State(state): State<AppState>, Path(path): Path<JobPath
         Err(StoreError::Transition(_)) => match state.desk.remove(job.id).await {
             Ok(()) => Ok(Json(StatusInfo::from(job)).into_response()),
             Err(StoreError::Missing) => Err(gone(job.id).into()),
+            Err(StoreError::Child(parent)) => {
+                let detail = format!("job {} is part of job {parent} and is removed with it", job.id);
+                Err(Problem::new(Code::PartOfAnotherJob, detail).into())
+            }
             Err(error) => Err(error.into()),
         },
         Err(StoreError::Missing) => Err(gone(job.id).into()),

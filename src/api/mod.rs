@@ -13,6 +13,7 @@ mod job_history;
 mod job_results;
 mod jobs;
 mod landing;
+pub mod metrics;
 mod models;
 mod observations;
 pub mod openapi;
@@ -41,6 +42,8 @@ pub struct AppState {
     pub store: Store,
     /// Where jobs are accepted and looked after.
     pub desk: Desk,
+    /// What is counted for whoever watches the service.
+    pub metrics: metrics::Metrics,
     /// The settings in force.
     pub config: Arc<Config>,
     /// Cancelled once the service takes no new work.

@@ -207,8 +207,9 @@ pub async fn execute_process(
         anew: wants_anew(&headers),
     };
     let (location, body) = match state.desk.submit(submission, answer).await? {
-        Submitted::New(answer) | Submitted::Repeated(answer) => (answer.location, answer.body),
-        Submitted::Reused(job) => (location(&job), json!(StatusInfo::reused(*job))),
+        Submitted::New(answer) | Submitted::Reused(answer) | Submitted::Repeated(answer) => {
+            (answer.location, answer.body)
+        }
     };
     let mut response = (StatusCode::CREATED, axum::Json(&body)).into_response();
     if !wait.0.is_zero()
@@ -228,12 +229,9 @@ pub async fn execute_process(
     Ok(response)
 }
 
-fn location(job: &Job) -> String {
-    format!("/v1/jobs/{}", job.id)
-}
-
-fn answer(job: &Job) -> Answer {
-    Answer { location: location(job), body: json!(StatusInfo::from(job.clone())) }
+fn answer(job: &Job, reused: bool) -> Answer {
+    let info = if reused { StatusInfo::reused(job.clone()) } else { StatusInfo::from(job.clone()) };
+    Answer { location: format!("/v1/jobs/{}", job.id), body: json!(info) }
 }
 
 /// Waits until a job has ended or the time is over; none where it was removed meanwhile.

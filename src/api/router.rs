@@ -6,14 +6,14 @@ use axum::{
     BoxError, Router,
     error_handling::HandleErrorLayer,
     extract::{DefaultBodyLimit, Request},
-    http::{HeaderName, HeaderValue},
+    http::{Extensions, HeaderMap, HeaderName, HeaderValue, StatusCode, Version},
     middleware::{self, Next},
     response::{IntoResponse, Response},
 };
 use tower::{ServiceBuilder, limit::GlobalConcurrencyLimitLayer};
 use tower_http::{
     catch_panic::CatchPanicLayer,
-    compression::CompressionLayer,
+    compression::{CompressionLayer, Predicate as _, predicate::DefaultPredicate},
     csrf::CsrfLayer,
     request_id::{MakeRequestId, PropagateRequestIdLayer, RequestId, SetRequestIdLayer},
     trace::TraceLayer,
@@ -24,8 +24,9 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use super::{
     AppState, auth, avalanches, docs,
     extract::BodyLimit,
-    feature_sets, forecasts, health, imports, job_frames, job_history, job_results, jobs, landing, models,
-    observations, openapi,
+    feature_sets, forecasts, health, imports, job_frames, job_history,
+    job_results::{self, REPR_DIGEST},
+    jobs, landing, metrics, models, observations, openapi,
     problem::{ApiError, REQUEST_ID, from_panic},
     processes, scenarios, stations,
 };
@@ -41,7 +42,9 @@ const LONGEST_REQUEST_ID: usize = 128;
 
 /// Answered however busy the service is: whoever watches it must not end a process that works hard.
 fn vital_signs() -> OpenApiRouter<AppState> {
-    OpenApiRouter::with_openapi(openapi::Document::openapi()).routes(routes!(health::livez))
+    OpenApiRouter::with_openapi(openapi::Document::openapi())
+        .routes(routes!(health::livez))
+        .routes(routes!(metrics::metrics))
 }
 
 fn routes() -> OpenApiRouter<AppState> {
@@ -117,13 +120,19 @@ pub fn router(state: AppState) -> Router {
         .layer(limits)
         .merge(vital_signs.method_not_allowed_fallback(method_not_allowed))
         .layer(CatchPanicLayer::custom(from_panic))
-        .layer(CompressionLayer::new())
+        .layer(CompressionLayer::new().compress_when(DefaultPredicate::new().and(has_no_digest)))
         .layer(middleware::from_fn(with_request_id))
+        .layer(middleware::from_fn_with_state(state.clone(), metrics::time_requests))
         .layer(TraceLayer::new_for_http().make_span_with(request_span).on_response(log_response))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID_HEADER))
         .layer(SetRequestIdLayer::new(REQUEST_ID_HEADER, NewRequestId))
         .layer(middleware::from_fn(drop_long_request_id))
         .with_state(state)
+}
+
+/// A digest is of the bytes as they are sent, and parts of them must fit together: they stay as they are stored.
+fn has_no_digest(_: StatusCode, _: Version, headers: &HeaderMap, _: &Extensions) -> bool {
+    !headers.contains_key(REPR_DIGEST)
 }
 
 #[derive(Clone, Copy)]

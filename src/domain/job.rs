@@ -165,6 +165,19 @@ impl From<Priority> for u8 {
     }
 }
 
+/// What was spent on a job over all its attempts; on one that ended without a word, up to its last sign of life.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Spent {
+    /// Computing, ms.
+    pub compute_ms: u64,
+    /// How many states were stored to go on from.
+    pub states: u32,
+    /// For how much of the computing it stood still to save them, ms.
+    pub saving_ms: u64,
+    /// How long it took to store them, beside the computing, ms.
+    pub storing_ms: u64,
+}
+
 /// One job as the store keeps it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Job {
@@ -200,8 +213,8 @@ pub struct Job {
     pub attempt: u32,
     /// Who took it last.
     pub worker: Option<String>,
-    /// Computing time over all attempts, ms.
-    pub compute_ms: u64,
+    /// What was spent on it.
+    pub spent: Spent,
     /// When it was accepted.
     pub created: Timestamp,
     /// When it was first started.

@@ -68,6 +68,7 @@ codes! {
     NoSuchJob "no-such-job" 404 "No such job" "The job id is not known, or the finished job was removed.";
     ResultNotReady "result-not-ready" 404 "The results are not ready" "The job has not ended yet. Poll its status document until `status` is `successful`.";
     JobDismissed "job-dismissed" 404 "The job was dismissed" "A dismissed job has no results.";
+    PartOfAnotherJob "part-of-another-job" 409 "The job is part of another one" "The job is a child of the one that `parent` of its status document names. Its results are part of that job's, so it is removed with it and not before.";
     MethodNotAllowed "method-not-allowed" 405 "The method is not allowed here" "The address exists but not with this method. The `Allow` header lists the methods.";
     NotAcceptable "not-acceptable" 406 "None of the accepted formats can be served" "The `Accept` header names no format that this address serves. The detail lists them.";
     RequestTimeout "request-timeout" 408 "The request took too long" "The request was not complete, or not answered, in time. Send it again, in smaller parts if it is large.";
@@ -82,6 +83,7 @@ codes! {
     ModelMismatch "model-mismatch" 422 "The model does not fit the station" "The model was trained for another station or lead. Name one of this station and lead.";
     Interrupted "interrupted" 500 "The job was interrupted" "The service ended while the job was running. Submit it again.";
     CrashedRepeatedly "crashed-repeatedly" 500 "The job took its worker down" "Several attempts in a row ended without a word. The job is not tried again.";
+    Stalled "stalled" 500 "The job stood still" "The computation made no step for longer than the operator allows (`--stall-s`), and was given up. The same inputs would stand still again: change them, or report the job to the operator.";
     JobFailed "job-failed" 422 "The job failed" "The computation ended with an error, which the detail names.";
     Internal "internal" 500 "The service failed" "Something broke that the caller cannot mend. Report the `traceId` to the operator, who finds the cause in the log.";
     Overloaded "overloaded" 503 "The service is too busy" "Too many requests or jobs are waiting. Wait for the time in `Retry-After` and try again.";

@@ -1,8 +1,13 @@
-//! The bytes of large outputs, each under its digest, in a folder or in whatever `object_store` speaks to.
+//! The bytes of large outputs, each under its digest, in a folder or, built with the feature `s3`, in what speaks S3.
 
-use std::{ops::Range, path::Path, sync::Arc};
+use std::{
+    ops::Range,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use object_store::{ObjectStore, ObjectStoreExt, PutPayload, local::LocalFileSystem, path::Path as Key};
+use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
 use super::link::Artifact;
@@ -12,18 +17,82 @@ use crate::store::jobs::OutputRecord;
 #[derive(Clone)]
 pub struct Artifacts(Arc<dyn ObjectStore>);
 
+/// The address of a place for large outputs.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "String")]
+pub enum ArtifactAddress {
+    /// A folder.
+    Folder(PathBuf),
+    /// Below a prefix of a bucket of S3.
+    S3 {
+        /// The bucket.
+        bucket: String,
+        /// What every key begins with; empty: nothing.
+        prefix: String,
+    },
+}
+
+impl std::str::FromStr for ArtifactAddress {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let Some(place) = text.strip_prefix("s3://") else {
+            let good = !text.is_empty() && !text.contains("://");
+            return if good { Ok(Self::Folder(text.into())) } else { Err("must be a folder or s3://BUCKET/PREFIX") };
+        };
+        let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
+        if bucket.is_empty() {
+            return Err("must name a bucket: s3://BUCKET/PREFIX");
+        }
+        Ok(Self::S3 { bucket: bucket.into(), prefix: prefix.trim_matches('/').into() })
+    }
+}
+
+impl TryFrom<String> for ArtifactAddress {
+    type Error = &'static str;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse()
+    }
+}
+
 /// The store of large outputs does not do what it should.
 #[derive(Debug, thiserror::Error)]
-#[error("artifact store: {0}")]
-pub struct ArtifactError(#[from] object_store::Error);
+pub enum ArtifactError {
+    /// It does not answer, or refuses.
+    #[error("artifact store: {0}")]
+    Store(#[from] object_store::Error),
+    /// The folder cannot be made.
+    #[error("artifact store: {path}: {source}")]
+    Folder {
+        /// Which.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// This build does not speak S3.
+    #[error("this firn speaks no S3: build it with --features s3")]
+    NoS3,
+}
 
 impl Artifacts {
+    /// The place at an address, once it is certain that it answers.
+    ///
+    /// # Errors
+    /// [`ArtifactError`] where it does not, or where this build does not know its kind.
+    pub async fn open(address: &ArtifactAddress) -> Result<Self, ArtifactError> {
+        match address {
+            ArtifactAddress::Folder(path) => Self::folder(path),
+            ArtifactAddress::S3 { bucket, prefix } => s3(bucket, prefix).await,
+        }
+    }
+
     /// A folder, made where it is not there.
     ///
     /// # Errors
-    /// Where the folder cannot be made.
-    pub fn folder(path: &Path) -> Result<Self, Box<dyn std::error::Error + Send + Sync>> {
-        std::fs::create_dir_all(path)?;
+    /// [`ArtifactError`] where the folder cannot be made.
+    pub fn folder(path: &Path) -> Result<Self, ArtifactError> {
+        std::fs::create_dir_all(path).map_err(|source| ArtifactError::Folder { path: path.into(), source })?;
         Ok(Self(Arc::new(LocalFileSystem::new_with_prefix(path)?.with_fsync(true))))
     }
 
@@ -61,6 +130,51 @@ impl Artifacts {
     }
 }
 
+/// Address and credentials of the service are in the environment, under the names that every client of S3 knows.
+#[cfg(feature = "s3")]
+async fn s3(bucket: &str, prefix: &str) -> Result<Artifacts, ArtifactError> {
+    use futures_util::StreamExt as _;
+    use object_store::{RetryConfig, aws::AmazonS3Builder, prefix::PrefixStore};
+
+    // a delivery that fails is tried again by its worker: nothing is won by a longer wait here
+    let retry =
+        RetryConfig { max_retries: 3, retry_timeout: std::time::Duration::from_secs(10), ..RetryConfig::default() };
+    let store = AmazonS3Builder::from_env().with_bucket_name(bucket).with_retry(retry).build()?;
+    let store = PrefixStore::new(store, prefix);
+    // a bucket that is not there would else be noticed only with the first result
+    store.list(None).next().await.transpose()?;
+    Ok(Artifacts(Arc::new(store)))
+}
+
+#[cfg(not(feature = "s3"))]
+#[expect(clippy::unused_async, reason = "the same function as with the feature")]
+async fn s3(_: &str, _: &str) -> Result<Artifacts, ArtifactError> {
+    Err(ArtifactError::NoS3)
+}
+
 fn key(sha256: &str) -> Key {
     Key::from(sha256)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_is_a_folder_or_a_place_in_a_bucket() {
+        let s3 = |bucket: &str, prefix: &str| ArtifactAddress::S3 { bucket: bucket.into(), prefix: prefix.into() };
+        assert_eq!("a/b".parse(), Ok(ArtifactAddress::Folder("a/b".into())));
+        assert_eq!("s3://b".parse(), Ok(s3("b", "")));
+        assert_eq!("s3://b/p/q/".parse(), Ok(s3("b", "p/q")));
+        for bad in ["", "s3://", "s3:///p", "gs://b/p"] {
+            assert!(bad.parse::<ArtifactAddress>().is_err(), "{bad}");
+        }
+    }
+
+    #[cfg(not(feature = "s3"))]
+    #[tokio::test]
+    async fn a_build_without_s3_says_so() {
+        let refused = Artifacts::open(&"s3://b/p".parse().unwrap()).await.err().map(|error| error.to_string());
+        assert_eq!(refused.as_deref(), Some("this firn speaks no S3: build it with --features s3"));
+    }
 }

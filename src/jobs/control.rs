@@ -2,53 +2,55 @@
 
 use std::{
     sync::{
-        Mutex, MutexGuard, PoisonError,
+        Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, Ordering},
     },
     time::{Duration, Instant},
 };
 
 use firn_science::progress::Progress;
+use tokio::sync::Notify;
 
-use crate::domain::job::Report;
-
-/// A state is saved at least this long after the one before, ...
-const CHECKPOINT_EVERY: Duration = Duration::from_secs(5);
-/// ... and so rarely that saving takes at most this share of the time.
-const MOST_TIME_ON_CHECKPOINTS: f64 = 0.02;
+use super::spacing::Spacing;
+use crate::domain::job::{Report, Spent};
 
 /// The handle of one attempt.
 pub struct Control {
+    begun: Instant,
     stop: AtomicBool,
     pausing: AtomicBool,
+    stepped: AtomicBool,
     resumed: Option<Vec<u8>>,
     state: Mutex<State>,
+    unsaved: Notify,
 }
 
+#[derive(Default)]
 struct State {
     report: Report,
-    begun: Instant,
     // of this attempt: where it began, so that a resumed one does not look fast
     first_fraction: Option<f64>,
-    last_checkpoint: Instant,
-    checkpoint_cost: Duration,
-    unsaved: Option<Vec<u8>>,
+    spacing: Spacing,
+    states: u32,
+    saving: Duration,
+    storing: Duration,
+    // kept until it is stored: what is on its way may not arrive
+    unsaved: Option<Arc<Vec<u8>>>,
 }
 
 impl Control {
     /// The handle of an attempt that goes on from `resumed`.
     #[must_use]
     pub fn new(resumed: Option<Vec<u8>>) -> Self {
-        let now = Instant::now();
-        let state = State {
-            report: Report::default(),
-            begun: now,
-            first_fraction: None,
-            last_checkpoint: now,
-            checkpoint_cost: Duration::ZERO,
-            unsaved: None,
-        };
-        Self { stop: AtomicBool::new(false), pausing: AtomicBool::new(false), resumed, state: Mutex::new(state) }
+        Self {
+            begun: Instant::now(),
+            stop: AtomicBool::new(false),
+            pausing: AtomicBool::new(false),
+            stepped: AtomicBool::new(false),
+            resumed,
+            state: Mutex::default(),
+            unsaved: Notify::new(),
+        }
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -78,15 +80,63 @@ impl Control {
         self.state().report.clone()
     }
 
+    /// Whether the computation has given a sign of life since this was asked last.
+    #[must_use]
+    pub fn has_stepped(&self) -> bool {
+        self.stepped.swap(false, Ordering::Relaxed)
+    }
+
     /// A state that nobody has stored yet.
     #[must_use]
-    pub fn take_unsaved(&self) -> Option<Vec<u8>> {
-        self.state().unsaved.take()
+    pub fn unsaved(&self) -> Option<Arc<Vec<u8>>> {
+        self.state().unsaved.clone()
+    }
+
+    /// Waits for a state that nobody has stored yet.
+    pub async fn next_unsaved(&self) -> Arc<Vec<u8>> {
+        loop {
+            if let Some(bytes) = self.unsaved() {
+                return bytes;
+            }
+            self.unsaved.notified().await;
+        }
+    }
+
+    /// Notes that a state is stored, which took `storing`.
+    pub fn stored(&self, bytes: &Arc<Vec<u8>>, storing: Duration) {
+        let mut state = self.state();
+        state.states += 1;
+        state.storing += storing;
+        if state.unsaved.as_ref().is_some_and(|newest| Arc::ptr_eq(newest, bytes)) {
+            state.unsaved = None;
+            state.spacing.stored(storing);
+        }
+    }
+
+    /// What the attempt was spent on until now.
+    #[must_use]
+    pub fn spent(&self) -> Spent {
+        let ms = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
+        let state = self.state();
+        Spent {
+            compute_ms: ms(self.begun.elapsed()),
+            states: state.states,
+            saving_ms: ms(state.saving),
+            storing_ms: ms(state.storing),
+        }
+    }
+
+    fn step(&self) {
+        // read first: engines ask from all their threads at once, and a line of memory that nobody writes is shared
+        if !self.stepped.load(Ordering::Relaxed) {
+            self.stepped.store(true, Ordering::Relaxed);
+        }
     }
 }
 
 impl Progress for Control {
     fn report(&self, fraction: f64, phase: &str) {
+        self.step();
         if !fraction.is_finite() {
             return;
         }
@@ -98,7 +148,7 @@ impl Progress for Control {
         state.report.percent = state.report.percent.max(percent);
         let gained = fraction - first;
         if gained > 1e-6 {
-            let eta = state.begun.elapsed().as_secs_f64() * (1.0 - fraction) / gained;
+            let eta = self.begun.elapsed().as_secs_f64() * (1.0 - fraction) / gained;
             state.report.eta_seconds = Some((eta * 10.0).round() / 10.0);
         }
         if state.report.phase != phase {
@@ -107,38 +157,39 @@ impl Progress for Control {
     }
 
     fn rate(&self, per_second: f64, unit: &str) {
+        self.step();
         let mut state = self.state();
         state.report.rate = Some(per_second);
         state.report.rate_unit = Some(unit.to_owned());
     }
 
     fn work(&self, done: f64, unit: &str) {
-        let seconds = self.state().begun.elapsed().as_secs_f64();
+        let seconds = self.begun.elapsed().as_secs_f64();
         if seconds > 0.0 {
             self.rate(done / seconds, unit);
         }
     }
 
     fn cancelled(&self) -> bool {
+        self.step();
         self.stop.load(Ordering::Relaxed)
     }
 
     fn checkpoint(&self, save: &dyn Fn() -> Vec<u8>) {
+        self.step();
         let pausing = self.is_pausing();
-        {
-            let state = self.state();
-            let rest = CHECKPOINT_EVERY.max(state.checkpoint_cost.div_f64(MOST_TIME_ON_CHECKPOINTS));
-            if !pausing && state.last_checkpoint.elapsed() < rest {
-                return;
-            }
+        let taken = self.begun.elapsed();
+        if !self.state().spacing.is_due(taken) && !pausing {
+            return;
         }
         // not under the lock: the heart beats while a large state is written
-        let begun = Instant::now();
         let bytes = save();
+        let saving = self.begun.elapsed().saturating_sub(taken);
         let mut state = self.state();
-        state.checkpoint_cost = begun.elapsed();
-        state.last_checkpoint = Instant::now();
-        state.unsaved = Some(bytes);
+        state.spacing.saved(taken, saving);
+        state.saving += saving;
+        state.unsaved = Some(Arc::new(bytes));
+        self.unsaved.notify_one();
         if pausing {
             self.cancel();
         }
@@ -172,7 +223,39 @@ mod tests {
         control.pause();
         assert!(!control.cancelled());
         control.checkpoint(&|| vec![1, 2]);
-        assert_eq!(control.take_unsaved(), Some(vec![1, 2]));
+        let unsaved = control.unsaved().unwrap();
+        assert_eq!(*unsaved, [1, 2]);
         assert!(control.cancelled());
+        assert_eq!(control.spent().states, 0);
+        control.stored(&unsaved, Duration::from_millis(70));
+        assert_eq!(control.unsaved(), None);
+        assert_eq!((control.spent().states, control.spent().storing_ms), (1, 70));
+    }
+
+    #[test]
+    fn a_state_that_came_meanwhile_is_not_forgotten() {
+        let control = Control::new(None);
+        control.pause();
+        control.checkpoint(&|| vec![1]);
+        let first = control.unsaved().unwrap();
+        control.checkpoint(&|| vec![2]);
+        control.stored(&first, Duration::ZERO);
+        assert_eq!(control.unsaved().as_deref(), Some(&vec![2]));
+    }
+
+    #[test]
+    fn whatever_a_computation_says_is_a_step() {
+        let control = Control::new(None);
+        let says: [&dyn Fn(); 4] = [
+            &|| Progress::report(&control, 0.1, "a"),
+            &|| control.rate(1.0, "seasons"),
+            &|| control.checkpoint(&Vec::new),
+            &|| assert!(!control.cancelled()),
+        ];
+        for say in says {
+            assert!(!control.has_stepped());
+            say();
+            assert!(control.has_stepped());
+        }
     }
 }

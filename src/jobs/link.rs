@@ -5,7 +5,7 @@ use serde_json::Value;
 use uuid::Uuid;
 
 use super::engine::Boxed;
-use crate::domain::job::{Exception, Job, Report};
+use crate::domain::job::{Exception, Job, Report, Spent};
 
 /// The desk does not answer.
 #[derive(Debug, thiserror::Error)]
@@ -25,9 +25,14 @@ pub enum Assignment {
         /// What an earlier attempt saved last.
         #[serde(with = "serde_bytes")]
         checkpoint: Option<Vec<u8>>,
+        /// How long its worker may be silent, ms.
+        lease_ms: u64,
     },
     /// Another worker has it.
-    Busy,
+    Busy {
+        /// When it may be had if that worker is lost, ms from now.
+        retry_ms: u64,
+    },
     /// It needs nobody any more.
     Over,
 }
@@ -108,7 +113,7 @@ pub trait JobLink: Send + Sync {
     fn checkpoint<'a>(&'a self, job: Uuid, attempt: u32, bytes: &'a [u8]) -> Boxed<'a, Result<Verdict, LinkError>>;
 
     /// Gives the job back unfinished.
-    fn release(&self, job: Uuid, attempt: u32, compute_ms: u64) -> Boxed<'_, Result<Verdict, LinkError>>;
+    fn release(&self, job: Uuid, attempt: u32, spent: Spent) -> Boxed<'_, Result<Verdict, LinkError>>;
 
     /// Delivers the end of an attempt.
     fn finish<'a>(
@@ -116,6 +121,6 @@ pub trait JobLink: Send + Sync {
         job: Uuid,
         attempt: u32,
         delivery: &'a Delivery,
-        compute_ms: u64,
+        spent: Spent,
     ) -> Boxed<'a, Result<Verdict, LinkError>>;
 }

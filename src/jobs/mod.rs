@@ -13,6 +13,7 @@ pub mod engine;
 pub mod link;
 pub mod nats_link;
 pub mod processes;
+pub mod spacing;
 pub mod worker;
 
-pub use desk::{Desk, Submission, Submitted};
+pub use desk::{Desk, Rules, Submission, Submitted};

@@ -18,7 +18,10 @@ use super::{
     engine::Boxed,
     link::{Assignment, Delivery, JobLink, LinkError, LogLine, Verdict},
 };
-use crate::domain::{ids::new_id, job::Report};
+use crate::domain::{
+    ids::new_id,
+    job::{Report, Spent},
+};
 
 /// Where the desk listens.
 const DESK: &str = "firn.desk";
@@ -57,13 +60,13 @@ enum Ask {
     Release {
         job: Uuid,
         attempt: u32,
-        compute_ms: u64,
+        spent: Spent,
     },
     Finish {
         job: Uuid,
         attempt: u32,
         delivery: Delivery,
-        compute_ms: u64,
+        spent: Spent,
     },
 }
 
@@ -194,8 +197,8 @@ impl JobLink for NatsLink {
         Box::pin(self.verdict(Ask::Checkpoint { job, attempt, bytes: bytes.to_vec() }))
     }
 
-    fn release(&self, job: Uuid, attempt: u32, compute_ms: u64) -> Boxed<'_, Result<Verdict, LinkError>> {
-        Box::pin(self.verdict(Ask::Release { job, attempt, compute_ms }))
+    fn release(&self, job: Uuid, attempt: u32, spent: Spent) -> Boxed<'_, Result<Verdict, LinkError>> {
+        Box::pin(self.verdict(Ask::Release { job, attempt, spent }))
     }
 
     fn finish<'a>(
@@ -203,9 +206,9 @@ impl JobLink for NatsLink {
         job: Uuid,
         attempt: u32,
         delivery: &'a Delivery,
-        compute_ms: u64,
+        spent: Spent,
     ) -> Boxed<'a, Result<Verdict, LinkError>> {
-        Box::pin(self.verdict(Ask::Finish { job, attempt, delivery: delivery.clone(), compute_ms }))
+        Box::pin(self.verdict(Ask::Finish { job, attempt, delivery: delivery.clone(), spent }))
     }
 }
 
@@ -256,9 +259,9 @@ async fn decide(desk: &Desk, ask: Ask) -> Reply {
         Ask::Beat { job, attempt, report } => desk.beat(job, attempt, &report).await.map(Reply::Verdict),
         Ask::Log { job, attempt, lines } => desk.log(job, attempt, &lines).await.map(|()| Reply::Done),
         Ask::Checkpoint { job, attempt, bytes } => desk.checkpoint(job, attempt, &bytes).await.map(Reply::Verdict),
-        Ask::Release { job, attempt, compute_ms } => desk.release(job, attempt, compute_ms).await.map(Reply::Verdict),
-        Ask::Finish { job, attempt, delivery, compute_ms } => {
-            desk.finish(job, attempt, &delivery, compute_ms).await.map(Reply::Verdict)
+        Ask::Release { job, attempt, spent } => desk.release(job, attempt, spent).await.map(Reply::Verdict),
+        Ask::Finish { job, attempt, delivery, spent } => {
+            desk.finish(job, attempt, &delivery, spent).await.map(Reply::Verdict)
         }
     };
     decided.unwrap_or_else(|error| Reply::Failed(error.to_string()))

@@ -10,6 +10,8 @@ use std::{
     time::{Duration, Instant},
 };
 
+use firn_science::progress::Progress;
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use tokio::sync::oneshot;
 use tokio_util::{sync::CancellationToken, task::TaskTracker};
 use uuid::Uuid;
@@ -21,25 +23,34 @@ use super::{
     processes::{Failure, Process},
 };
 use crate::domain::{
-    job::{Exception, Job},
+    job::{Exception, Job, Spent},
     problem::Code,
 };
 
 /// How often a worker gives a sign of life, and so the longest that a dismissal goes unnoticed.
 const BEAT: Duration = Duration::from_millis(250);
 
+/// The longest time between two signs of life that counts as silence of the computation: where it is longer, the worker
+/// itself was frozen.
+const LONGEST_BEAT: Duration = Duration::from_secs(1);
+
 /// How long a worker waits before it asks an engine or a desk again that did not answer.
 const RETRY: Duration = Duration::from_millis(500);
+
+/// A ticket of a job that another worker has comes back not sooner than this.
+const SOON: Duration = Duration::from_millis(50);
 
 /// Where a worker computes and how much at once.
 #[derive(Clone, Debug)]
 pub struct WorkerOptions {
     /// What it is called in the record of its jobs.
     pub name: String,
-    /// Threads of the compute pool.
+    /// Threads that one job computes with.
     pub threads: usize,
-    /// Jobs at once; they share the threads.
+    /// Jobs at once, each on a pool of its own: on a shared one a job could wait for, or lie buried under, another.
     pub slots: usize,
+    /// An attempt whose computation makes no step for so long is failed.
+    pub stall: Duration,
 }
 
 /// A worker; clones share it.
@@ -49,7 +60,7 @@ pub struct Worker(Arc<Inner>);
 struct Inner {
     engine: Arc<dyn Engine>,
     link: Arc<dyn JobLink>,
-    pool: rayon::ThreadPool,
+    compute: Arc<Compute>,
     options: WorkerOptions,
     running: Mutex<Vec<(Uuid, Arc<Control>)>>,
     stopping: CancellationToken,
@@ -57,7 +68,32 @@ struct Inner {
     fenced: AtomicU64,
 }
 
+/// Computes a job from its process and payload.
+pub type Compute = dyn Fn(Process, &[u8], &dyn Progress) -> Result<Output, Failure> + Send + Sync;
+
 type Computed = Result<Result<Output, Failure>, Box<dyn std::any::Any + Send>>;
+
+/// Which attempt at which job, and how long its worker may be silent.
+#[derive(Clone, Copy)]
+struct Attempt {
+    id: Uuid,
+    number: u32,
+    lease: Duration,
+}
+
+/// Whether the threads of a slot can compute the next job.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Threads {
+    Free,
+    Lost,
+}
+
+/// How an attempt came to its end in this worker.
+enum End {
+    Computed(Computed),
+    /// The computation made no step; it may still hold its threads.
+    Stalled,
+}
 
 impl Worker {
     /// Starts to work.
@@ -68,24 +104,33 @@ impl Worker {
         engine: Arc<dyn Engine>,
         link: Arc<dyn JobLink>,
         options: WorkerOptions,
-    ) -> Result<Self, rayon::ThreadPoolBuildError> {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(options.threads)
-            .thread_name(|index| format!("firn-compute-{index}"))
-            .build()?;
-        let slots = options.slots;
+    ) -> Result<Self, ThreadPoolBuildError> {
+        Self::start_with(engine, link, Arc::new(Process::compute), options)
+    }
+
+    /// Starts to work with computations of the caller's instead of the processes' own.
+    ///
+    /// # Errors
+    /// Where the system gives no threads.
+    pub fn start_with(
+        engine: Arc<dyn Engine>,
+        link: Arc<dyn JobLink>,
+        compute: Arc<Compute>,
+        options: WorkerOptions,
+    ) -> Result<Self, ThreadPoolBuildError> {
+        let pools = (0..options.slots).map(|_| pool(options.threads)).collect::<Result<Vec<_>, _>>()?;
         let worker = Self(Arc::new(Inner {
             engine,
             link,
-            pool,
+            compute,
             options,
             running: Mutex::default(),
             stopping: CancellationToken::new(),
             tasks: TaskTracker::new(),
             fenced: AtomicU64::new(0),
         }));
-        for _ in 0..slots {
-            worker.0.tasks.spawn(worker.clone().slot());
+        for pool in pools {
+            worker.0.tasks.spawn(worker.clone().slot(pool));
         }
         Ok(worker)
     }
@@ -118,7 +163,7 @@ impl Worker {
         self.0.running.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    async fn slot(self) {
+    async fn slot(self, mut threads: ThreadPool) {
         loop {
             let next = tokio::select! {
                 // a slot that the end of a paused job frees must not take another
@@ -127,7 +172,17 @@ impl Worker {
                 next = self.0.engine.next() => next,
             };
             match next {
-                Ok(lease) => self.serve(lease).await,
+                Ok(lease) => {
+                    if self.serve(lease, &threads).await == Threads::Lost {
+                        match pool(self.0.options.threads) {
+                            Ok(others) => threads = others,
+                            Err(error) => {
+                                tracing::error!(%error, "no threads in place of those that a stalled job holds");
+                                return;
+                            }
+                        }
+                    }
+                }
                 Err(error) => {
                     tracing::warn!(%error, "no tickets");
                     tokio::time::sleep(RETRY).await;
@@ -136,133 +191,174 @@ impl Worker {
         }
     }
 
-    async fn serve(&self, lease: Box<dyn Lease>) {
+    async fn serve(&self, lease: Box<dyn Lease>, threads: &ThreadPool) -> Threads {
         let ticket = lease.ticket();
         match self.0.link.claim(ticket.job, &self.0.options.name).await {
-            Ok(Assignment::Taken { job, payload, checkpoint }) => self.attempt(lease, *job, payload, checkpoint).await,
-            Ok(Assignment::Busy) => lease.put_back(self.0.engine.lease() / 3).await,
+            Ok(Assignment::Taken { job, payload, checkpoint, lease_ms }) => {
+                let attempt = Attempt { id: job.id, number: job.attempt, lease: Duration::from_millis(lease_ms) };
+                tracing::info!(
+                    job = %job.id, process = job.process_id, attempt = job.attempt, resumed = checkpoint.is_some(),
+                    "started"
+                );
+                let control = Arc::new(Control::new(checkpoint));
+                let computed = self.compute(threads, &job, payload, &control);
+                return self.attempt(lease, attempt, &control, computed).await;
+            }
+            Ok(Assignment::Busy { retry_ms }) => lease.put_back(Duration::from_millis(retry_ms).max(SOON)).await,
             Ok(Assignment::Over) => lease.done().await,
             Err(error) => {
                 tracing::warn!(job = %ticket.job, %error, "a job could not be claimed");
                 lease.put_back(RETRY).await;
             }
         }
+        Threads::Free
     }
 
-    async fn attempt(&self, lease: Box<dyn Lease>, job: Job, payload: Vec<u8>, checkpoint: Option<Vec<u8>>) {
-        let (id, attempt) = (job.id, job.attempt);
-        tracing::info!(job = %id, process = job.process_id, attempt, resumed = checkpoint.is_some(), "started");
-        let control = Arc::new(Control::new(checkpoint));
-        self.running().push((id, Arc::clone(&control)));
-        if self.0.stopping.is_cancelled() {
-            control.pause();
-        }
-        let begun = Instant::now();
-        let computed = self.compute(&job, payload, &control);
-        let result = self.watch(&*lease, &job, &control, computed).await;
-        let compute_ms = u64::try_from(begun.elapsed().as_millis()).unwrap_or(u64::MAX);
-        self.running().retain(|(running, held)| *running != id || !Arc::ptr_eq(held, &control));
-
-        if let Some(bytes) = control.take_unsaved()
-            && control.is_pausing()
-        {
-            // where it fails, the checkpoint before counts: some work is done twice, none is lost
-            let _ = self.0.link.checkpoint(id, attempt, &bytes).await;
-        }
-        let delivery = match result {
-            Ok(Ok(output)) => Delivery::Finished(output),
-            Ok(Err(Failure::Cancelled)) => {
-                self.give_back(lease, id, attempt, compute_ms, control.is_pausing()).await;
-                return;
-            }
-            Ok(Err(failure)) => Delivery::Failed(failed(failure.to_string())),
-            Err(panic) => {
-                tracing::error!(job = %id, panic = panic_text(&*panic), "a computation panicked");
-                Delivery::Failed(failed("the computation panicked".to_owned()))
-            }
-        };
-        self.deliver(&*lease, id, attempt, &delivery, compute_ms).await;
-        lease.done().await;
-    }
-
-    /// Runs the process on the compute pool.
-    fn compute(&self, job: &Job, payload: Vec<u8>, control: &Arc<Control>) -> oneshot::Receiver<Computed> {
+    /// Runs the process of a job on the threads of its slot.
+    fn compute(
+        &self,
+        threads: &ThreadPool,
+        job: &Job,
+        payload: Vec<u8>,
+        control: &Arc<Control>,
+    ) -> oneshot::Receiver<Computed> {
         let (send, receive) = oneshot::channel();
-        let control = Arc::clone(control);
+        let (compute, control) = (Arc::clone(&self.0.compute), Arc::clone(control));
         let process = Process::from_id(&job.process_id);
-        self.0.pool.spawn(move || {
+        threads.spawn(move || {
             let work = || match process {
-                Some(process) => process.compute(&payload, control.as_ref()),
+                Some(process) => compute(process, &payload, control.as_ref()),
                 None => Err(Failure::Science("this worker does not know the process: it is of another version".into())),
             };
-            // the taker is gone only where the worker is going down
+            // the taker is gone only where the worker is going down or has given the computation up
             let _ = send.send(catch_unwind(AssertUnwindSafe(work)));
         });
         receive
     }
 
-    /// Keeps an attempt alive until it ends, and ends it where it counts no more.
-    async fn watch(
+    async fn attempt(
         &self,
-        lease: &dyn Lease,
-        job: &Job,
+        lease: Box<dyn Lease>,
+        attempt: Attempt,
         control: &Arc<Control>,
-        mut computed: oneshot::Receiver<Computed>,
-    ) -> Computed {
+        computed: oneshot::Receiver<Computed>,
+    ) -> Threads {
+        let id = attempt.id;
+        self.running().push((id, Arc::clone(control)));
+        if self.0.stopping.is_cancelled() {
+            control.pause();
+        }
+        // the computation ends the other two, which never end by themselves but where it stalls
+        let end = tokio::select! {
+            biased;
+            result = computed => End::Computed(result.unwrap_or_else(|_| Err(Box::new("the pool is gone")))),
+            () = self.beats(&*lease, attempt, control) => End::Stalled,
+            () = self.states(attempt, control) => End::Stalled,
+        };
+        self.running().retain(|(running, held)| *running != id || !Arc::ptr_eq(held, control));
+
+        if control.is_pausing()
+            && let Some(bytes) = control.unsaved()
+        {
+            let begun = Instant::now();
+            // where it fails, the state before counts: some work is done twice, none is lost
+            if self.0.link.checkpoint(id, attempt.number, &bytes).await.is_ok() {
+                control.stored(&bytes, begun.elapsed());
+            }
+        }
+        let spent = control.spent();
+        let (delivery, threads) = match end {
+            End::Computed(Ok(Ok(output))) => (Delivery::Finished(output), Threads::Free),
+            End::Computed(Ok(Err(Failure::Cancelled))) => {
+                self.give_back(lease, attempt, spent, control.is_pausing()).await;
+                return Threads::Free;
+            }
+            End::Computed(Ok(Err(failure))) => {
+                (Delivery::Failed(failed(Code::JobFailed, failure.to_string())), Threads::Free)
+            }
+            End::Computed(Err(panic)) => {
+                tracing::error!(job = %id, panic = panic_text(&*panic), "a computation panicked");
+                (Delivery::Failed(failed(Code::JobFailed, "the computation panicked".to_owned())), Threads::Free)
+            }
+            End::Stalled => {
+                control.cancel();
+                let detail = format!("the computation made no step for {} s", self.0.options.stall.as_secs());
+                tracing::error!(job = %id, detail, "a job is given up; its threads are lost until they end by themselves");
+                (Delivery::Failed(failed(Code::Stalled, detail)), Threads::Lost)
+            }
+        };
+        self.deliver(&*lease, attempt, &delivery, spent).await;
+        lease.done().await;
+        threads
+    }
+
+    /// Keeps an attempt alive, and ends its computation where it counts no more; returns where that makes no step.
+    async fn beats(&self, lease: &dyn Lease, attempt: Attempt, control: &Control) {
         let mut tick = tokio::time::interval(BEAT);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        let extend_every = self.0.engine.lease() / 3;
-        let mut extended = Instant::now();
+        let (mut extended, mut looked, mut silent) = (Instant::now(), Instant::now(), Duration::ZERO);
         // the first tick is at once; a job of a few milliseconds needs no heartbeat
         tick.tick().await;
         loop {
-            tokio::select! {
-                biased;
-                result = &mut computed => {
-                    return result.unwrap_or_else(|_| Err(Box::new("the pool is gone")));
-                }
-                _ = tick.tick() => {}
+            tick.tick().await;
+            silent = if control.has_stepped() { Duration::ZERO } else { silent + looked.elapsed().min(LONGEST_BEAT) };
+            looked = Instant::now();
+            if silent >= self.0.options.stall {
+                return;
             }
-            if extended.elapsed() >= extend_every {
+            if extended.elapsed() >= attempt.lease / 3 {
                 if let Err(error) = lease.extend().await {
-                    tracing::warn!(job = %job.id, %error, "a lease could not be extended");
+                    tracing::warn!(job = %attempt.id, %error, "a lease could not be extended");
                 }
                 extended = Instant::now();
             }
-            let beat = self.0.link.beat(job.id, job.attempt, &control.report()).await;
-            stop_where_fenced(control, beat, job.id);
-            if let Some(bytes) = control.take_unsaved() {
-                let saved = self.0.link.checkpoint(job.id, job.attempt, &bytes).await;
-                stop_where_fenced(control, saved, job.id);
+            let beat = self.0.link.beat(attempt.id, attempt.number, &control.report()).await;
+            stop_where_fenced(control, beat, attempt.id);
+        }
+    }
+
+    /// Stores each state as soon as it is saved, beside the heartbeat: a large one takes its time.
+    async fn states(&self, attempt: Attempt, control: &Control) {
+        loop {
+            let bytes = control.next_unsaved().await;
+            let begun = Instant::now();
+            let stored = self.0.link.checkpoint(attempt.id, attempt.number, &bytes).await;
+            if stored.is_ok() {
+                control.stored(&bytes, begun.elapsed());
+            } else {
+                // it is not given up: the next try takes this state or a newer one
+                tokio::time::sleep(RETRY).await;
             }
+            stop_where_fenced(control, stored, attempt.id);
         }
     }
 
     /// The end of an attempt that was asked to stop: given back where the worker stops, of no more use where the job was
     /// dismissed or taken over.
-    async fn give_back(&self, lease: Box<dyn Lease>, id: Uuid, attempt: u32, compute_ms: u64, pausing: bool) {
+    async fn give_back(&self, lease: Box<dyn Lease>, attempt: Attempt, spent: Spent, pausing: bool) {
         if !pausing {
-            tracing::info!(job = %id, attempt, "stopped: the attempt counts no more");
+            tracing::info!(job = %attempt.id, attempt = attempt.number, "stopped: the attempt counts no more");
             lease.done().await;
             return;
         }
-        if let Err(error) = self.0.link.release(id, attempt, compute_ms).await {
-            tracing::warn!(job = %id, %error, "a job could not be given back; it is taken up when its lease ends");
+        if let Err(error) = self.0.link.release(attempt.id, attempt.number, spent).await {
+            tracing::warn!(job = %attempt.id, %error, "a job could not be given back; it is taken up when its lease ends");
         }
         lease.put_back(Duration::ZERO).await;
     }
 
     /// Delivers until the desk has answered: a result is not thrown away because a connection was.
-    async fn deliver(&self, lease: &dyn Lease, id: Uuid, attempt: u32, delivery: &Delivery, compute_ms: u64) {
+    async fn deliver(&self, lease: &dyn Lease, attempt: Attempt, delivery: &Delivery, spent: Spent) {
+        let id = attempt.id;
         loop {
-            match self.0.link.finish(id, attempt, delivery, compute_ms).await {
+            match self.0.link.finish(id, attempt.number, delivery, spent).await {
                 Ok(Verdict::Counts) => {
-                    tracing::info!(job = %id, attempt, compute_ms, "delivered");
+                    tracing::info!(job = %id, attempt = attempt.number, compute_ms = spent.compute_ms, "delivered");
                     return;
                 }
                 Ok(Verdict::Fenced) => {
                     self.0.fenced.fetch_add(1, Ordering::Relaxed);
-                    tracing::warn!(job = %id, attempt, "the result came too late and was refused");
+                    tracing::warn!(job = %id, attempt = attempt.number, "the result came too late and was refused");
                     return;
                 }
                 Err(error) if self.0.stopping.is_cancelled() => {
@@ -280,6 +376,11 @@ impl Worker {
     }
 }
 
+/// The threads of one slot.
+fn pool(threads: usize) -> Result<ThreadPool, ThreadPoolBuildError> {
+    ThreadPoolBuilder::new().num_threads(threads).thread_name(|index| format!("firn-compute-{index}")).build()
+}
+
 fn stop_where_fenced(control: &Control, verdict: Result<Verdict, LinkError>, job: Uuid) {
     match verdict {
         Ok(Verdict::Counts) => {}
@@ -288,8 +389,8 @@ fn stop_where_fenced(control: &Control, verdict: Result<Verdict, LinkError>, job
     }
 }
 
-fn failed(detail: String) -> Exception {
-    Exception { code: Code::JobFailed.slug().into(), detail }
+fn failed(code: Code, detail: String) -> Exception {
+    Exception { code: code.slug().into(), detail }
 }
 
 fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {

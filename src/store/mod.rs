@@ -76,6 +76,9 @@ pub enum StoreError {
     /// `If-Match` or `If-None-Match` does not hold.
     #[error("the precondition does not hold")]
     Precondition,
+    /// The job is part of another one and goes with it.
+    #[error("the job is part of job {0}")]
+    Child(Uuid),
     /// The row that should change is not there.
     #[error("no such row")]
     Missing,

@@ -144,7 +144,7 @@ async fn without_a_key_no_operation_of_the_contract_is_open() {
         }
     }
     // what a monitor, a browser or a client library needs before it has a key, and nothing that is data
-    let expected = ["/livez", "/openapi.json", "/problems", "/problems/not-found", "/readyz"];
+    let expected = ["/livez", "/metrics", "/openapi.json", "/problems", "/problems/not-found", "/readyz"];
     assert_eq!(open.into_iter().collect::<Vec<_>>(), expected);
     // what is not there is no more open than what is
     app.get("/v1/nothing").await.problem("unauthorized");

@@ -3,7 +3,7 @@
 use firn::{
     domain::{
         ids::new_id,
-        job::{Exception, Job, Labels, Priority, Report, Status},
+        job::{Exception, Job, Labels, Priority, Report, Spent, Status},
     },
     store::jobs::{Claim, Outcome},
 };
@@ -257,7 +257,7 @@ async fn a_week(app: &TestApp) -> Vec<Uuid> {
             assert!(matches!(taken, Claim::Taken { .. }), "{taken:?}");
             let end = created + SignedDuration::from_secs(10 * (day + 1));
             match outcome {
-                Some(outcome) => drop(store.finish_job(job.id, 1, outcome, None, 0, end).await.unwrap()),
+                Some(outcome) => drop(store.finish_job(job.id, 1, outcome, None, Spent::default(), end).await.unwrap()),
                 None => drop(store.dismiss_job(job.id, end).await.unwrap()),
             }
             ids.push(job.id);
@@ -288,7 +288,7 @@ fn job(process: &str, created: Timestamp) -> Job {
         position: None,
         attempt: 0,
         worker: None,
-        compute_ms: 0,
+        spent: Spent::default(),
         created,
         started: None,
         finished: None,

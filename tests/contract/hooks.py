@@ -35,6 +35,8 @@ EXPLAINED = {
         "invalid-body": {"/labels"},
         "idempotency-key-reused": {""},
     },
+    # a child goes with its parent
+    "dismiss_job": {"part-of-another-job": {""}},
     # an activity that contradicts the count, type, trigger or size
     "put_avalanches": {
         "invalid-body": {"/count", "/type", "/trigger", "/size"},

@@ -101,9 +101,9 @@ async fn a_kill_costs_at_most_ten_seconds_of_computing() {
     let job = server.call(Method::POST, "/v1/processes/echo/execution").json(&inputs).await.json(201);
     let at = format!("/v1/jobs/{}", job["jobID"].as_str().unwrap());
     let done_s = |job: &Value| job["progress"].as_f64().unwrap() / 100.0 * DELAY_S;
-    // so late that a start from the beginning would lose more than ten seconds
+    // so late that a start from the beginning would lose more than ten seconds, and well after a state was saved
     let mut before = server.read(&at).await;
-    while done_s(&before) < 12.0 {
+    while done_s(&before) < 11.0 {
         tokio::time::sleep(Duration::from_millis(50)).await;
         before = server.read(&at).await;
     }
@@ -122,8 +122,10 @@ async fn a_kill_costs_at_most_ten_seconds_of_computing() {
         after = server.read(&at).await;
     }
     assert_eq!((&after["status"], &after["attempt"]), (&json!("successful"), &json!(2)));
-    let again_s = server.read(&format!("{at}/prov")).await["computed_seconds"].as_f64().unwrap();
-    assert!(again_s <= DELAY_S - 12.0 + 10.0, "the second attempt computed {again_s} s");
+    // the lost attempt counts up to its last sign of life, and what was lost of it was computed twice
+    let provenance = server.read(&format!("{at}/prov")).await;
+    let twice_s = provenance["computed_seconds"].as_f64().unwrap() - DELAY_S;
+    assert!((1.0..=10.0).contains(&twice_s), "{twice_s} s were computed twice");
 }
 
 #[tokio::test]

@@ -1,15 +1,26 @@
 //! What every engine must keep, tried on each of them.
 
-use std::{collections::HashSet, time::Duration};
+use std::{
+    collections::HashSet,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU32, Ordering},
+    },
+    time::{Duration, Instant},
+};
 
 use firn::{
-    domain::job::{Job, Report, Status},
-    jobs::link::{Assignment, Delivery, Output, Part, Verdict},
+    domain::job::{Job, Report, Spent, Status},
+    jobs::{
+        desk::Write,
+        link::{Assignment, Delivery, Output, Part, Verdict},
+        processes::{Failure, Process},
+    },
 };
 use serde_json::json;
 use uuid::Uuid;
 
-use crate::rig::Rig;
+use crate::{processes::PATIENCE, rig::Rig};
 
 macro_rules! contract {
     ($($name:ident, lease $lease_ms:literal ms;)+) => {
@@ -44,6 +55,9 @@ contract! {
     a_worker_that_stops_gives_back_what_it_holds, lease 10_000 ms;
     children_run_side_by_side_and_their_parent_is_put_together, lease 10_000 ms;
     a_lost_last_child_frees_its_parent, lease 500 ms;
+    a_large_state_comes_back_whole, lease 1_000 ms;
+    a_computation_that_stands_still_is_failed, lease 10_000 ms;
+    a_state_on_its_way_holds_nothing_up, lease 1_500 ms;
 }
 
 /// Claims a job as a worker would; panics where it cannot be had.
@@ -53,10 +67,14 @@ async fn claim(rig: &Rig, id: Uuid, worker: &str) -> (Job, Option<Vec<u8>>) {
             Ok(Assignment::Taken { job, checkpoint, .. }) => return (*job, checkpoint),
             Ok(Assignment::Over) => panic!("{id} is over"),
             // the lease of the one before has not ended, or the desk listens only now
-            Ok(Assignment::Busy) | Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
+            Ok(Assignment::Busy { .. }) | Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
         }
     }
     panic!("{id} is busy");
+}
+
+fn spent(compute_ms: u64) -> Spent {
+    Spent { compute_ms, ..Spent::default() }
 }
 
 fn result(message: &str) -> Delivery {
@@ -125,7 +143,7 @@ async fn a_lease_outlives_a_job_of_many_lease_times(rig: Rig) {
 async fn an_attempt_that_was_taken_over_can_write_nothing(rig: Rig) {
     let id = rig.submit(json!({"message": "a"}), 5).await;
     let (zombie, _) = claim(&rig, id, "zombie").await;
-    assert!(matches!(rig.link.claim(id, "heir").await.unwrap(), Assignment::Busy), "the lease holds");
+    assert!(matches!(rig.link.claim(id, "heir").await.unwrap(), Assignment::Busy { .. }), "the lease holds");
     let (heir, _) = claim(&rig, id, "heir").await;
     assert_eq!((zombie.attempt, heir.attempt), (1, 2));
 
@@ -133,16 +151,20 @@ async fn an_attempt_that_was_taken_over_can_write_nothing(rig: Rig) {
     let half = Report { percent: 50, phase: "half".into(), ..Report::default() };
     assert_eq!(rig.link.beat(id, 1, &half).await.unwrap(), Verdict::Fenced);
     assert_eq!(rig.link.checkpoint(id, 1, &[1]).await.unwrap(), Verdict::Fenced);
-    assert_eq!(rig.link.release(id, 1, 10).await.unwrap(), Verdict::Fenced);
-    assert_eq!(rig.link.finish(id, 1, &result("of the zombie"), 10).await.unwrap(), Verdict::Fenced);
+    assert_eq!(rig.link.release(id, 1, spent(10)).await.unwrap(), Verdict::Fenced);
+    assert_eq!(rig.link.finish(id, 1, &result("of the zombie"), spent(10)).await.unwrap(), Verdict::Fenced);
     assert_eq!(rig.job(id).await, before);
     assert_eq!(rig.desk.fenced_writes(), 4);
 
-    assert_eq!(rig.link.finish(id, 2, &result("of the heir"), 10).await.unwrap(), Verdict::Counts);
-    assert_eq!(rig.link.finish(id, 2, &result("twice"), 10).await.unwrap(), Verdict::Fenced);
-    assert_eq!(rig.link.finish(id, 1, &result("too late"), 10).await.unwrap(), Verdict::Fenced);
+    assert_eq!(rig.link.finish(id, 2, &result("of the heir"), spent(10)).await.unwrap(), Verdict::Counts);
+    assert_eq!(rig.link.finish(id, 2, &result("twice"), spent(10)).await.unwrap(), Verdict::Fenced);
+    assert_eq!(rig.link.finish(id, 1, &result("too late"), spent(10)).await.unwrap(), Verdict::Fenced);
     assert_eq!(rig.store.job_results(id).await.unwrap(), Some(json!({"message": "of the heir"})));
     assert_eq!(rig.desk.fenced_writes(), 6);
+    let tally = rig.desk.tally();
+    let kinds = Write::ALL.map(|write| (write.name(), tally.fenced_writes(write)));
+    assert_eq!(kinds, [("beat", 1), ("log", 0), ("checkpoint", 1), ("release", 1), ("result", 3)]);
+    assert_eq!((tally.attempts(Process::Echo), tally.leases_lost(), tally.dismissals()), (2, 1, 0));
     assert!(matches!(rig.link.claim(id, "third").await.unwrap(), Assignment::Over));
 }
 
@@ -155,6 +177,7 @@ async fn a_job_that_loses_every_worker_is_failed(rig: Rig) {
     let worker = rig.worker("next", 1);
     let job = rig.ended(id).await;
     assert_eq!((job.status, job.attempt), (Status::Failed, 5));
+    assert_eq!(rig.desk.tally().leases_lost(), 5);
     assert_eq!(job.exception.unwrap().code, "crashed-repeatedly");
     let log = rig.store.job_log(id).await.unwrap();
     assert_eq!(log.iter().filter(|line| line.level == "warn").count(), 4, "{log:?}");
@@ -187,6 +210,7 @@ async fn a_dismissed_job_frees_its_slot_within_a_second(rig: Rig) {
     let waited = next.started.unwrap().duration_since(long.finished.unwrap());
     assert!(waited.as_millis() <= 1000, "the slot was freed after {waited}");
     assert_eq!(rig.desk.fenced_writes(), 0, "a dismissal is no fenced write");
+    assert_eq!((rig.desk.tally().dismissals(), rig.desk.tally().leases_lost()), (1, 0));
     assert!(rig.desk.dismiss(long.id).await.is_err());
     worker.stop(Duration::from_secs(5)).await;
 }
@@ -247,7 +271,7 @@ async fn a_worker_that_stops_gives_back_what_it_holds(rig: Rig) {
     first.stop(Duration::from_secs(10)).await;
     let given_back = rig.job(id).await;
     assert_eq!((given_back.status, given_back.attempt), (Status::Accepted, 1), "{given_back:?}");
-    assert!(given_back.compute_ms >= 1600);
+    assert!(given_back.spent.compute_ms >= 1600);
 
     let second = rig.worker("second", 1);
     let mut last = 0;
@@ -261,7 +285,7 @@ async fn a_worker_that_stops_gives_back_what_it_holds(rig: Rig) {
         if job.status.ended() {
             assert_eq!((job.status, job.attempt), (Status::Successful, 2));
             // both attempts together took the time of one, not of one and a half
-            assert!(job.compute_ms < 5600, "{}", job.compute_ms);
+            assert!(job.spent.compute_ms < 5600, "{}", job.spent.compute_ms);
             break;
         }
         tokio::time::sleep(Duration::from_millis(20)).await;
@@ -290,7 +314,7 @@ async fn a_lost_last_child_frees_its_parent(rig: Rig) {
     claim(&rig, parent, "splitter").await;
     let part = Part { process_id: "echo".into(), inputs: json!({"message": "a"}) };
     let split = Delivery::Finished(Output { split: vec![part], ..Output::default() });
-    assert_eq!(rig.link.finish(parent, 1, &split, 0).await.unwrap(), Verdict::Counts);
+    assert_eq!(rig.link.finish(parent, 1, &split, spent(0)).await.unwrap(), Verdict::Counts);
     let child = rig.jobs().await.into_iter().find(|job| job.parent == Some(parent)).unwrap();
     for _ in 0..5 {
         claim(&rig, child.id, "doomed").await;
@@ -301,4 +325,67 @@ async fn a_lost_last_child_frees_its_parent(rig: Rig) {
     let detail = ended.exception.unwrap().detail;
     assert!(detail.starts_with("part 0 has no result: 5 attempts"), "{detail}");
     worker.stop(Duration::from_secs(5)).await;
+}
+
+async fn a_large_state_comes_back_whole(rig: Rig) {
+    let id = rig.submit(json!({"message": "a"}), 5).await;
+    claim(&rig, id, "lost").await;
+    let state: Vec<u8> = (0..12_000_003).map(|at| (at % 251) as u8).collect();
+    assert_eq!(rig.link.checkpoint(id, 1, &state).await.unwrap(), Verdict::Counts);
+    let (_, resumed) = claim(&rig, id, "heir").await;
+    assert!(resumed == Some(state));
+}
+
+async fn a_computation_that_stands_still_is_failed(mut rig: Rig) {
+    rig.stall = Duration::from_millis(700);
+    let (calls, wake) = (Arc::new(AtomicU32::new(0)), Arc::new(AtomicBool::new(false)));
+    let (counted, woken) = (Arc::clone(&calls), Arc::clone(&wake));
+    let worker = rig.worker_with("one", 1, move |process, payload, progress| {
+        if counted.fetch_add(1, Ordering::Relaxed) > 0 {
+            return process.compute(payload, progress);
+        }
+        while !woken.load(Ordering::Relaxed) {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        // what it says once it goes on is of no more use, and it can hear that
+        if progress.cancelled() { Err(Failure::Cancelled) } else { panic!("it was not told") }
+    });
+    let still = rig.submit(json!({"message": "still"}), 5).await;
+    let next = rig.submit(json!({"message": "next", "delay_s": 2}), 5).await;
+    let job = rig.ended(still).await;
+    let exception = job.exception.unwrap();
+    assert_eq!((job.status, exception.code.as_str(), job.attempt), (Status::Failed, "stalled", 1));
+    // the slot goes on with other threads, and a computation that steps is left alone however long it takes
+    assert_eq!(rig.ended(next).await.status, Status::Successful);
+    wake.store(true, Ordering::Relaxed);
+    worker.stop(Duration::from_secs(5)).await;
+    assert_eq!(calls.load(Ordering::Relaxed), 2);
+}
+
+async fn a_state_on_its_way_holds_nothing_up(mut rig: Rig) {
+    // a state takes longer than several leases to store
+    rig.slow_states(Duration::from_secs(6));
+    let stopped = Arc::new(AtomicBool::new(false));
+    let stops = Arc::clone(&stopped);
+    let _worker = rig.worker_with("one", 1, move |_, _, progress| {
+        while !progress.cancelled() {
+            progress.checkpoint(&|| vec![1]);
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        stops.store(true, Ordering::Relaxed);
+        Err(Failure::Cancelled)
+    });
+    let _idle = rig.worker("two", 1);
+    let long = rig.submit(json!({"message": "long"}), 5).await;
+    rig.state_on_its_way().await;
+    tokio::time::sleep(Duration::from_secs(4)).await;
+    let job = rig.job(long).await;
+    assert_eq!((job.status, job.attempt), (Status::Running, 1), "its lease is kept");
+    let since = Instant::now();
+    rig.desk.dismiss(long).await.unwrap();
+    while !stopped.load(Ordering::Relaxed) {
+        assert!(since.elapsed() < PATIENCE);
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    assert!(since.elapsed() < Duration::from_secs(1), "it stopped after {:?}", since.elapsed());
 }

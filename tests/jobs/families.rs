@@ -78,3 +78,22 @@ async fn the_dismissal_of_a_parent_dismisses_its_children() {
     assert_eq!(ended(&app, &next).await["status"], "successful");
     assert_eq!(app.read(&format!("/v1/jobs/{parent}")).await["status"], "dismissed");
 }
+
+#[tokio::test]
+async fn a_part_is_not_removed_before_its_parent() {
+    let app = TestApp::with(|config| config.job_slots = 1).await;
+    // one slot: the second part has not begun when the first has ended
+    let parent = echo(&app, json!({"message": "a", "parts": 2, "delay_s": 1})).await;
+    until(&app, &parent, |job| job["progress"].as_u64() > Some(0)).await;
+    let parts = children(&app, &parent).await;
+    let done = parts.iter().find(|part| part["status"] == "successful").expect("one has ended");
+    let at = format!("/v1/jobs/{}", id(done));
+    let refused = app.delete(&at).await.problem("part-of-another-job");
+    assert!(refused["detail"].as_str().unwrap().contains(&parent), "{refused}");
+    let results = app.read(&format!("/v1/jobs/{}/results", id(&ended(&app, &parent).await))).await;
+    assert_eq!(results["parts"], json!([{"message": "a"}, {"message": "a"}]));
+    // nor later: the results of the parent may name its outputs
+    app.delete(&at).await.problem("part-of-another-job");
+    app.delete(&format!("/v1/jobs/{parent}")).await.json(200);
+    app.get(&at).await.problem("no-such-job");
+}

@@ -35,6 +35,11 @@ async fn an_attachment_can_be_had_in_parts() {
     assert_eq!(whole.header("accept-ranges"), "bytes");
     let digest = base64::engine::general_purpose::STANDARD.encode(Sha256::digest(expected()));
     assert_eq!(whole.header("repr-digest"), format!("sha-256=:{digest}:"));
+    assert_eq!(whole.header("content-digest"), whole.header("repr-digest"));
+    // compressed bytes would have another digest, and no part of them would fit to these
+    let compressed = app.get(&at).header("accept-encoding", "gzip").await;
+    assert_eq!(compressed.headers.get("content-encoding"), None);
+    assert!(compressed.body == expected());
     let tag = whole.header("etag").to_owned();
     assert_eq!(app.get(&at).header("if-none-match", &tag).await.status, 304);
 
@@ -49,6 +54,8 @@ async fn an_attachment_can_be_had_in_parts() {
         assert_eq!(part.status, 206, "{range}");
         assert_eq!(part.header("content-range"), format!("bytes {}-{}/{SIZE}", bytes.start, bytes.end - 1));
         assert_eq!(part.header("repr-digest"), format!("sha-256=:{digest}:"), "of the whole, not of the part");
+        let of_part = base64::engine::general_purpose::STANDARD.encode(Sha256::digest(&expected()[bytes.clone()]));
+        assert_eq!(part.header("content-digest"), format!("sha-256=:{of_part}:"));
         assert!(part.body == expected()[bytes]);
     }
     // the version that the caller has the first part of, and another

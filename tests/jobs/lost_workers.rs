@@ -30,7 +30,7 @@ pub async fn server() -> Option<(NatsServer, TestApp)> {
 }
 
 pub fn worker(nats: &NatsServer, name: &str, slots: usize) -> WorkerProcess {
-    WorkerProcess::start(&nats.url(), name, LEASE_S, slots)
+    WorkerProcess::start(&nats.url(), name, slots)
 }
 
 /// Has an echo accepted and gives its id.
@@ -128,7 +128,7 @@ async fn workers_outlive_a_killed_server_and_deliver_to_the_next() {
     let (data, url) = (data_dir(), nats.url());
     let arguments = ["--engine", &url, "--lease-s", "10"];
     let mut server = Serving::start(data.path(), &arguments);
-    let worker = WorkerProcess::start(&url, "afar", 10, 1);
+    let worker = WorkerProcess::start(&url, "afar", 1);
     let inputs = json!({"inputs": {"message": "a", "delay_s": 3, "attachment_bytes": 2_000_000}});
     let job = server.call(Method::POST, "/v1/processes/echo/execution").json(&inputs).await.json(201);
     let at = format!("/v1/jobs/{}", id(&job));
@@ -151,4 +151,45 @@ async fn workers_outlive_a_killed_server_and_deliver_to_the_next() {
     let attachment = server.call(Method::GET, &format!("{at}/results/attachment")).await;
     assert!(attachment.body.iter().enumerate().all(|(at, byte)| *byte == (at % 251) as u8));
     assert_eq!(attachment.body.len(), 2_000_000);
+}
+
+#[tokio::test]
+async fn a_new_lease_reaches_the_queues_that_are_there() {
+    let Some(nats) = NatsServer::start() else { return };
+    // it is there before any server, and hears of the lease from the one that comes
+    let mut first = worker(&nats, "first", 1);
+    let (data, url) = (data_dir(), nats.url());
+    let mut server = Serving::start(data.path(), &["--engine", &url, "--lease-s", "600"]);
+    assert_eq!(leases_s(&url).await, [600; 10]);
+    server.terminate();
+    assert!(server.ended().success());
+
+    let server = Serving::start(data.path(), &["--engine", &url, "--lease-s", "2"]);
+    assert_eq!(leases_s(&url).await, [2; 10]);
+    let inputs = json!({"inputs": {"message": "a", "delay_s": 4}});
+    let job = server.call(Method::POST, "/v1/processes/echo/execution").json(&inputs).await.json(201);
+    let at = format!("/v1/jobs/{}", id(&job));
+    let since = Instant::now();
+    while server.read(&at).await["status"] != "running" {
+        assert!(since.elapsed() < PATIENCE, "nobody takes it:\n{}", first.log());
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    first.kill();
+    let _second = worker(&nats, "second", 1);
+    let since = Instant::now();
+    while server.read(&at).await["attempt"] != 2 {
+        assert!(since.elapsed() < PATIENCE, "its ticket does not come back");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+/// The leases that the queues have, s.
+async fn leases_s(url: &str) -> Vec<u64> {
+    let context = async_nats::jetstream::new(async_nats::connect(url).await.unwrap());
+    let stream = context.get_stream("FIRN_TICKETS").await.unwrap();
+    let mut leases = Vec::new();
+    for priority in 0..10 {
+        leases.push(stream.consumer_info(format!("priority-{priority}")).await.unwrap().config.ack_wait.as_secs());
+    }
+    leases
 }

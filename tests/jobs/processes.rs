@@ -77,8 +77,9 @@ fn free_port() -> u16 {
 }
 
 fn spawn_nats(port: u16, store: &TempDir) -> std::io::Result<Child> {
-    let program =
-        if std::path::Path::new("/usr/sbin/nats-server").exists() { "/usr/sbin/nats-server" } else { "nats-server" };
+    let debian = "/usr/sbin/nats-server";
+    let program = std::env::var("FIRN_NATS_SERVER")
+        .unwrap_or_else(|_| if std::path::Path::new(debian).exists() { debian.into() } else { "nats-server".into() });
     Command::new(program)
         .args(["-js", "-a", "127.0.0.1", "-p", &port.to_string(), "-sd"])
         .arg(store.path())
@@ -96,11 +97,11 @@ pub struct WorkerProcess {
 
 impl WorkerProcess {
     /// Starts one.
-    pub fn start(url: &str, name: &str, lease_s: u64, slots: usize) -> Self {
+    pub fn start(url: &str, name: &str, slots: usize) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_firn"))
             .env_clear()
-            .args(["worker", "--engine", url, "--name", name, "--lease-s", &lease_s.to_string()])
-            .args(["--job-slots", &slots.to_string(), "--compute-threads", &slots.to_string()])
+            .args(["worker", "--engine", url, "--name", name])
+            .args(["--job-slots", &slots.to_string(), "--compute-threads", "1"])
             .stdin(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()

@@ -3,7 +3,7 @@
 use firn::{
     domain::{
         ids::new_id,
-        job::{Job, Labels, Priority, Report, Status},
+        job::{Job, Labels, Priority, Report, Spent, Status},
     },
     store::{
         Store,
@@ -40,7 +40,7 @@ fn job(created: Timestamp, parent: Option<Uuid>) -> Job {
         position: None,
         attempt: 0,
         worker: None,
-        compute_ms: 0,
+        spent: Spent::default(),
         created,
         started: None,
         finished: None,
@@ -61,7 +61,7 @@ async fn done(store: &Store, end: Timestamp, size: u64, sha256: &str, parent: Op
     assert!(matches!(claim, Claim::Taken { .. }));
     let output = OutputRecord { name: "x".into(), media_type: "text/plain".into(), size, sha256: sha256.into() };
     let outcome = Outcome::Successful { results: json!({}), outputs: vec![output] };
-    store.finish_job(job.id, 1, outcome, None, 0, end).await.unwrap();
+    store.finish_job(job.id, 1, outcome, None, Spent::default(), end).await.unwrap();
     job.id
 }
 
@@ -101,6 +101,42 @@ async fn the_oldest_jobs_go_when_all_need_too_much() {
     let (jobs, mut digests) = store.retire_jobs(Retention { ended_before: at(0), most_bytes: 0 }).await.unwrap();
     digests.sort();
     assert_eq!((jobs, digests), (2, vec!["a".to_owned(), "b".to_owned()]));
+}
+
+#[tokio::test]
+async fn a_job_needs_what_its_children_need() {
+    let (store, _data) = store().await;
+    let parent = done(&store, at(1), 10, "parent", None).await;
+    for (hour, digest) in [(2, "a"), (3, "b")] {
+        done(&store, at(hour), 1000, digest, Some(parent)).await;
+    }
+    let young = done(&store, at(4), 100, "young", None).await;
+    // its own output alone would fit in
+    let (jobs, digests) = store.retire_jobs(Retention { ended_before: at(0), most_bytes: 1500 }).await.unwrap();
+    assert_eq!((jobs, digests.len()), (1, 3));
+    assert!(!is_there(&store, parent).await && is_there(&store, young).await);
+}
+
+#[tokio::test]
+async fn what_was_spent_on_a_lost_attempt_counts_up_to_its_last_sign_of_life() {
+    let (store, _data) = store().await;
+    let job = job(at(0), None);
+    store.insert_job(&job, None).await.unwrap();
+    let lease = SignedDuration::from_secs(30);
+    store.claim_job(job.id, "lost", at(1), lease, true).await.unwrap();
+    store.beat_job(job.id, 1, &Report::default(), at(1) + SignedDuration::from_secs(20), lease).await.unwrap();
+    let claim = store.claim_job(job.id, "heir", at(2), lease, true).await.unwrap();
+    let Claim::Taken { job: taken, lease_lost, .. } = claim else { panic!("{claim:?}") };
+    assert!(lease_lost);
+    assert_eq!((taken.attempt, taken.spent.compute_ms), (2, 20_000));
+    let spent = Spent { compute_ms: 5_000, states: 2, saving_ms: 7, storing_ms: 30 };
+    store.release_job(job.id, 2, spent, at(3)).await.unwrap();
+    // what was given back was not lost
+    let claim = store.claim_job(job.id, "last", at(4), lease, true).await.unwrap();
+    assert!(matches!(claim, Claim::Taken { lease_lost: false, .. }), "{claim:?}");
+    store.dismiss_job(job.id, at(4) + SignedDuration::from_secs(2)).await.unwrap();
+    let job = store.job(job.id).await.unwrap().unwrap();
+    assert_eq!(job.spent, Spent { compute_ms: 27_000, states: 2, saving_ms: 7, storing_ms: 30 });
 }
 
 #[tokio::test]

@@ -37,6 +37,21 @@ async fn the_same_training_on_the_same_days_is_done_once() {
     }
     assert_eq!(app.read("/v1/models").await["models"].as_array().unwrap().len(), 1);
 
+    // a key is bound to what it was first sent with, also where no new job was made
+    let with_key = async |inputs: &Value| {
+        let call = app.post("/v1/processes/train-model/execution").header("idempotency-key", "reused");
+        call.json(&json!({"inputs": inputs})).await
+    };
+    let answer = with_key(&inputs).await.json(201);
+    assert_eq!((&answer["reused"], &answer["jobID"]), (&json!(true), &first["jobID"]));
+    assert_eq!(with_key(&inputs).await.json(201), answer);
+    with_key(&written_out).await.problem("idempotency-key-reused");
+    app.post("/v1/processes/echo/execution")
+        .header("idempotency-key", "reused")
+        .json(&json!({"inputs": {"message": "a"}}))
+        .await
+        .problem("idempotency-key-reused");
+
     assert_eq!(ask(&inputs, "no-cache").await["reused"], false);
     let other_seed = json!({"station": "synthetic", "label": "observed", "lead": 0, "seed": 1});
     assert_eq!(ask(&other_seed, "max-age=0").await["reused"], false);

@@ -6,17 +6,18 @@ use std::{
 };
 
 use firn::{
-    domain::job::{Job, Labels, Priority},
+    domain::job::{Job, Labels, Priority, Report, Spent},
     jobs::{
-        Desk, Submission, Submitted,
+        Desk, Rules, Submission, Submitted,
         artifacts::Artifacts,
         caretaker::{self, Keep},
-        engine::{Engine, local::Local, nats::Nats},
-        link::JobLink,
+        engine::{Boxed, Engine, local::Local, nats::Nats},
+        link::{Assignment, Delivery, JobLink, LinkError, LogLine, Output, Verdict},
         nats_link::{self, NatsLink},
-        processes::Process,
+        processes::{Failure, Process},
         worker::{Worker, WorkerOptions},
     },
+    science::progress::Progress,
     store::{
         Store,
         jobs::{Answer, JobFilter},
@@ -24,6 +25,7 @@ use firn::{
 };
 use serde_json::Value;
 use tempfile::TempDir;
+use tokio::sync::Notify;
 use tokio_util::sync::{CancellationToken, DropGuard};
 use uuid::Uuid;
 
@@ -37,6 +39,9 @@ pub struct Rig {
     pub desk: Desk,
     pub engine: Arc<dyn Engine>,
     pub link: Arc<dyn JobLink>,
+    /// How long a computation may make no step.
+    pub stall: Duration,
+    state_begun: Arc<Notify>,
     _stop: DropGuard,
     _data: TempDir,
     _nats: Option<NatsServer>,
@@ -45,8 +50,8 @@ pub struct Rig {
 impl Rig {
     /// Over the embedded engine.
     pub async fn local(lease: Duration) -> Self {
-        let engine: Arc<dyn Engine> = Arc::new(Local::with_lease(lease));
-        let (store, desk, data) = desk(&engine).await;
+        let engine: Arc<dyn Engine> = Arc::new(Local::default());
+        let (store, desk, data) = desk(&engine, lease).await;
         let stop = CancellationToken::new();
         let link: Arc<dyn JobLink> = Arc::new(desk.clone());
         Self::over(store, desk, engine, link, stop, data, None)
@@ -58,7 +63,7 @@ impl Rig {
         let nats = Nats::connect(&server.url(), lease).await.expect("the server answers");
         let client = nats.client();
         let engine: Arc<dyn Engine> = Arc::new(nats);
-        let (store, desk, data) = desk(&engine).await;
+        let (store, desk, data) = desk(&engine, lease).await;
         let stop = CancellationToken::new();
         tokio::spawn(nats_link::serve(client.clone(), desk.clone(), stop.clone()));
         let link: Arc<dyn JobLink> = Arc::new(NatsLink::new(client));
@@ -76,7 +81,17 @@ impl Rig {
     ) -> Self {
         let keep = Keep { days: 1, bytes: u64::MAX };
         tokio::spawn(caretaker::run(desk.clone(), keep, stop.clone()));
-        Self { store, desk, engine, link, _stop: stop.drop_guard(), _data: data, _nats: nats }
+        Self {
+            store,
+            desk,
+            engine,
+            link,
+            stall: PATIENCE,
+            state_begun: Arc::default(),
+            _stop: stop.drop_guard(),
+            _data: data,
+            _nats: nats,
+        }
     }
 
     /// Has an echo accepted.
@@ -90,16 +105,38 @@ impl Rig {
             anew: false,
             reservation: None,
         };
-        let render = |job: &Job| Answer { location: String::new(), body: job.id.to_string().into() };
+        let render = |job: &Job, _: bool| Answer { location: String::new(), body: job.id.to_string().into() };
         match self.desk.submit(submission, render).await.expect("it is accepted") {
             Submitted::New(answer) => answer.body.as_str().unwrap().parse().unwrap(),
             other => panic!("{other:?}"),
         }
     }
 
+    /// The same with states that take so long to be stored.
+    pub fn slow_states(&mut self, delay: Duration) {
+        self.link = Arc::new(SlowStates { link: Arc::clone(&self.link), delay, begun: Arc::clone(&self.state_begun) });
+    }
+
+    /// Waits until a slow state is on its way.
+    pub async fn state_on_its_way(&self) {
+        tokio::time::timeout(PATIENCE, self.state_begun.notified()).await.expect("a state is saved");
+    }
+
+    /// A worker beside the desk that computes otherwise.
+    pub fn worker_with(
+        &self,
+        name: &str,
+        slots: usize,
+        compute: impl Fn(Process, &[u8], &dyn Progress) -> Result<Output, Failure> + Send + Sync + 'static,
+    ) -> Worker {
+        let options = WorkerOptions { name: name.into(), threads: 1, slots, stall: self.stall };
+        let (engine, link) = (Arc::clone(&self.engine), Arc::clone(&self.link));
+        Worker::start_with(engine, link, Arc::new(compute), options).expect("threads")
+    }
+
     /// A worker beside the desk.
     pub fn worker(&self, name: &str, slots: usize) -> Worker {
-        let options = WorkerOptions { name: name.into(), threads: slots, slots };
+        let options = WorkerOptions { name: name.into(), threads: 1, slots, stall: self.stall };
         Worker::start(Arc::clone(&self.engine), Arc::clone(&self.link), options).expect("threads")
     }
 
@@ -132,10 +169,53 @@ impl Rig {
     }
 }
 
-async fn desk(engine: &Arc<dyn Engine>) -> (Store, Desk, TempDir) {
+async fn desk(engine: &Arc<dyn Engine>, lease: Duration) -> (Store, Desk, TempDir) {
     let data = data_dir();
     let store = Store::open(data.path()).await.expect("the store opens");
     let artifacts = Artifacts::folder(&data.path().join("artifacts")).expect("a folder");
-    let desk = Desk::new(store.clone(), Arc::clone(engine), artifacts, 10_000);
+    let desk = Desk::new(store.clone(), Arc::clone(engine), artifacts, Rules { most_waiting: 10_000, lease });
     (store, desk, data)
+}
+
+/// A link over which states take their time.
+struct SlowStates {
+    link: Arc<dyn JobLink>,
+    delay: Duration,
+    begun: Arc<Notify>,
+}
+
+impl JobLink for SlowStates {
+    fn claim<'a>(&'a self, job: Uuid, worker: &'a str) -> Boxed<'a, Result<Assignment, LinkError>> {
+        self.link.claim(job, worker)
+    }
+
+    fn beat<'a>(&'a self, job: Uuid, attempt: u32, report: &'a Report) -> Boxed<'a, Result<Verdict, LinkError>> {
+        self.link.beat(job, attempt, report)
+    }
+
+    fn log<'a>(&'a self, job: Uuid, attempt: u32, lines: &'a [LogLine]) -> Boxed<'a, Result<(), LinkError>> {
+        self.link.log(job, attempt, lines)
+    }
+
+    fn checkpoint<'a>(&'a self, job: Uuid, attempt: u32, bytes: &'a [u8]) -> Boxed<'a, Result<Verdict, LinkError>> {
+        Box::pin(async move {
+            self.begun.notify_one();
+            tokio::time::sleep(self.delay).await;
+            self.link.checkpoint(job, attempt, bytes).await
+        })
+    }
+
+    fn release(&self, job: Uuid, attempt: u32, spent: Spent) -> Boxed<'_, Result<Verdict, LinkError>> {
+        self.link.release(job, attempt, spent)
+    }
+
+    fn finish<'a>(
+        &'a self,
+        job: Uuid,
+        attempt: u32,
+        delivery: &'a Delivery,
+        spent: Spent,
+    ) -> Boxed<'a, Result<Verdict, LinkError>> {
+        self.link.finish(job, attempt, delivery, spent)
+    }
 }

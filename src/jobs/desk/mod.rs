@@ -1,14 +1,12 @@
 //! Accepts jobs, answers the workers and stores what they deliver: the only one that writes job rows.
 
+mod tally;
 mod workers;
 
 use std::{
     collections::HashMap,
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicU64, Ordering},
-    },
-    time::Instant,
+    sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant},
 };
 
 use jiff::Timestamp;
@@ -16,6 +14,8 @@ use serde_json::Value;
 use tokio::sync::{RwLock, broadcast};
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
+
+pub use tally::{Tally, Write};
 
 use super::{
     artifacts::Artifacts,
@@ -26,7 +26,7 @@ use crate::{
     clock,
     domain::{
         ids::new_id,
-        job::{Job, Labels, Priority, Report, Status},
+        job::{Job, Labels, Priority, Report, Spent, Status},
         problem::{Code, Problem},
     },
     store::{
@@ -43,13 +43,22 @@ struct Inner {
     store: Store,
     engine: Arc<dyn Engine>,
     artifacts: Artifacts,
-    most_waiting: u32,
+    rules: Rules,
     stopping: CancellationToken,
     changes: broadcast::Sender<Uuid>,
     written: Mutex<HashMap<Uuid, (Instant, Report)>>,
-    fenced: AtomicU64,
+    tally: Tally,
     // outputs are stored and named under `read`, no more named and removed under `write`: equal bytes are stored once
     naming: RwLock<()>,
+}
+
+/// What the desk keeps to.
+#[derive(Clone, Copy, Debug)]
+pub struct Rules {
+    /// Jobs that may wait; more are refused.
+    pub most_waiting: u32,
+    /// How long a worker may be silent before its job is given to another.
+    pub lease: Duration,
 }
 
 /// A wish to have a process executed.
@@ -77,7 +86,7 @@ pub enum Submitted {
     /// A new job.
     New(Answer),
     /// A job that computed the same before.
-    Reused(Box<Job>),
+    Reused(Answer),
     /// The answer to the same request before.
     Repeated(Answer),
 }
@@ -85,16 +94,16 @@ pub enum Submitted {
 impl Desk {
     /// A desk over a store, an engine and a place for large outputs.
     #[must_use]
-    pub fn new(store: Store, engine: Arc<dyn Engine>, artifacts: Artifacts, most_waiting: u32) -> Self {
+    pub fn new(store: Store, engine: Arc<dyn Engine>, artifacts: Artifacts, rules: Rules) -> Self {
         Self(Arc::new(Inner {
             store,
             engine,
             artifacts,
-            most_waiting,
+            rules,
             stopping: CancellationToken::new(),
             changes: broadcast::channel(1024).0,
             written: Mutex::default(),
-            fenced: AtomicU64::new(0),
+            tally: Tally::default(),
             naming: RwLock::default(),
         }))
     }
@@ -123,10 +132,16 @@ impl Desk {
         self.0.changes.subscribe()
     }
 
+    /// What was counted since the desk was opened.
+    #[must_use]
+    pub fn tally(&self) -> &Tally {
+        &self.0.tally
+    }
+
     /// Writes of attempts that did not count any more and were refused.
     #[must_use]
     pub fn fenced_writes(&self) -> u64 {
-        self.0.fenced.load(Ordering::Relaxed)
+        Write::ALL.into_iter().map(|write| self.0.tally.fenced_writes(write)).sum()
     }
 
     /// Accepts no more jobs.
@@ -140,15 +155,15 @@ impl Desk {
         self.0.stopping.clone()
     }
 
-    /// Checks the inputs in full, then accepts the job: once this returns, it is on disk. `render` makes the answer that
-    /// an idempotency key gives again.
+    /// Checks the inputs in full, then accepts the job: once this returns, it is on disk. `render` makes the answer, which
+    /// an idempotency key gives again; it is told whether the job is one that computed the same before.
     ///
     /// # Errors
     /// A [`Problem`] for the caller; then there is no job.
     pub async fn submit(
         &self,
         submission: Submission,
-        render: impl FnOnce(&Job) -> Answer + Send + 'static,
+        render: impl FnOnce(&Job, bool) -> Answer + Send + 'static,
     ) -> Result<Submitted, Problem> {
         if self.0.stopping.is_cancelled() {
             return Err(Problem::new(Code::ShuttingDown, "no new jobs are taken"));
@@ -166,7 +181,7 @@ impl Desk {
         &self,
         reservation: &Reservation,
         submission: Submission,
-        render: impl FnOnce(&Job) -> Answer,
+        render: impl FnOnce(&Job, bool) -> Answer,
     ) -> Result<Submitted, Problem> {
         match self.0.store.hold_key(reservation, clock::now()).await.map_err(Problem::internal)? {
             Held::Answered(answer) => return Ok(Submitted::Repeated(answer)),
@@ -181,14 +196,18 @@ impl Desk {
             Held::New => {}
         }
         let result = self.accept(submission, render).await;
-        if !matches!(result, Ok(Submitted::New(_))) {
-            // a refusal is not remembered, so that the mended request may use the key; a reused job is found again anyway
+        if result.is_err() {
+            // a refusal is not remembered, so that the mended request may use the key
             self.0.store.let_key_go(reservation).await.map_err(Problem::internal)?;
         }
         result
     }
 
-    async fn accept(&self, submission: Submission, render: impl FnOnce(&Job) -> Answer) -> Result<Submitted, Problem> {
+    async fn accept(
+        &self,
+        submission: Submission,
+        render: impl FnOnce(&Job, bool) -> Answer,
+    ) -> Result<Submitted, Problem> {
         let store = &self.0.store;
         let process = submission.process;
         let accepted = process.accept(store, &submission.inputs).await?;
@@ -196,18 +215,22 @@ impl Desk {
             let version = env!("CARGO_PKG_VERSION");
             let same = store.job_of_input(process.id(), &accepted.hash, version).await.map_err(Problem::internal)?;
             if let Some(job) = same {
-                return Ok(Submitted::Reused(Box::new(job)));
+                let answer = render(&job, true);
+                if let Some(reservation) = &submission.reservation {
+                    store.settle_key(reservation, &answer).await.map_err(Problem::internal)?;
+                }
+                return Ok(Submitted::Reused(answer));
             }
         }
-        if store.waiting_jobs().await.map_err(Problem::internal)? >= self.0.most_waiting {
-            let detail = format!("{} jobs are waiting already; dismiss some or wait", self.0.most_waiting);
+        if store.waiting_jobs().await.map_err(Problem::internal)? >= self.0.rules.most_waiting {
+            let detail = format!("{} jobs are waiting already; dismiss some or wait", self.0.rules.most_waiting);
             return Err(Problem::new(Code::Overloaded, detail));
         }
         let mut job = new_job(process, accepted.inputs, accepted.hash);
         job.labels = submission.labels;
         job.priority = submission.priority;
         job.submitted_by = submission.submitted_by;
-        let answer = render(&job);
+        let answer = render(&job, false);
         let remembered = submission.reservation.as_ref().map(|reservation| (reservation, &answer));
         store.insert_job(&job, remembered).await.map_err(Problem::internal)?;
         self.changed(job.id);
@@ -221,6 +244,7 @@ impl Desk {
     /// [`StoreError::Transition`] where it has ended, [`StoreError::Missing`] where there is none.
     pub async fn dismiss(&self, id: Uuid) -> Result<(), StoreError> {
         let (ids, ended) = self.0.store.dismiss_job(id, clock::now()).await?;
+        self.0.tally.dismissed(ids.len());
         for id in ids {
             self.over(id);
         }
@@ -231,7 +255,7 @@ impl Desk {
     /// Removes a job that has ended.
     ///
     /// # Errors
-    /// [`StoreError::Missing`] where there is no ended job of that id.
+    /// [`StoreError::Child`] where it is part of another, [`StoreError::Missing`] where there is no ended job of that id.
     pub async fn remove(&self, id: Uuid) -> Result<(), StoreError> {
         let _alone = self.0.naming.write().await;
         let digests = self.0.store.remove_job(id).await?;
@@ -304,7 +328,7 @@ fn new_job(process: Process, inputs: Value, input_hash: String) -> Job {
         position: None,
         attempt: 0,
         worker: None,
-        compute_ms: 0,
+        spent: Spent::default(),
         created: now,
         started: None,
         finished: None,

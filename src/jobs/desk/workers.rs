@@ -1,7 +1,7 @@
 //! What the desk answers workers: claims, signs of life, deliveries.
 
 use std::{
-    sync::{PoisonError, atomic::Ordering},
+    sync::PoisonError,
     time::{Duration, Instant},
 };
 
@@ -9,11 +9,11 @@ use jiff::SignedDuration;
 use serde_json::{Value, json};
 use uuid::Uuid;
 
-use super::{Desk, new_job};
+use super::{Desk, Write, new_job};
 use crate::{
     clock,
     domain::{
-        job::{Exception, Job, Report},
+        job::{Exception, Job, Report, Spent},
         problem::{Code, Problem},
     },
     jobs::{
@@ -35,13 +35,13 @@ const LARGEST_INLINE: usize = 256 * 1024;
 
 impl Desk {
     fn lease(&self) -> SignedDuration {
-        SignedDuration::try_from(self.0.engine.lease()).unwrap_or(SignedDuration::from_secs(30))
+        SignedDuration::try_from(self.0.rules.lease).unwrap_or(SignedDuration::from_secs(30))
     }
 
-    fn fenced(&self, error: StoreError) -> Result<Verdict, LinkError> {
+    fn fenced(&self, write: Write, error: StoreError) -> Result<Verdict, LinkError> {
         match error {
             StoreError::Fenced | StoreError::Missing | StoreError::Transition(_) => {
-                self.0.fenced.fetch_add(1, Ordering::Relaxed);
+                self.0.tally.fenced(write);
                 Ok(Verdict::Fenced)
             }
             other => Err(LinkError(other.to_string())),
@@ -54,28 +54,39 @@ impl Desk {
         let claim = self.0.store.claim_job(id, worker, clock::now(), self.lease(), survives).await.map_err(link)?;
         self.changed(id);
         let (job, checkpoint) = match claim {
-            Claim::Busy => return Ok(Assignment::Busy),
+            Claim::Busy(left) => return Ok(Assignment::Busy { retry_ms: ms(left) }),
             Claim::Over => return Ok(Assignment::Over),
             Claim::GivenUp(ended) => {
+                self.0.tally.lease_lost();
                 self.see_to(ended).await;
                 return Ok(Assignment::Over);
             }
-            Claim::Taken { job, checkpoint } => (job, checkpoint),
+            Claim::Taken { job, checkpoint, lease_lost } => {
+                if lease_lost {
+                    self.0.tally.lease_lost();
+                }
+                (job, checkpoint)
+            }
         };
         let payload = match Process::from_id(&job.process_id) {
-            Some(process) => process.payload(&self.0.store, &job).await,
+            Some(process) => {
+                self.0.tally.attempt(process);
+                process.payload(&self.0.store, &job).await
+            }
             None => Err(Problem::new(Code::JobFailed, format!("there is no process {} any more", job.process_id))),
         };
         match payload {
-            Ok(payload) => Ok(Assignment::Taken { job, payload, checkpoint }),
+            Ok(payload) => Ok(Assignment::Taken { job, payload, checkpoint, lease_ms: ms(self.lease()) }),
             Err(problem) if problem.code == Code::Internal => {
                 // not the fault of the job: it is tried again
-                self.0.store.release_job(job.id, job.attempt, 0, clock::now()).await.map_err(link)?;
+                self.0.store.release_job(job.id, job.attempt, Spent::default(), clock::now()).await.map_err(link)?;
                 Err(LinkError(problem.cause.unwrap_or(problem.detail)))
             }
             Err(problem) => {
                 let exception = Exception { code: problem.code.slug().into(), detail: problem.detail };
-                self.end(job.id, job.attempt, Outcome::Failed(exception), None, 0).await.map_err(link)?;
+                self.end(job.id, job.attempt, Outcome::Failed(exception), None, Spent::default())
+                    .await
+                    .map_err(link)?;
                 Ok(Assignment::Over)
             }
         }
@@ -87,7 +98,7 @@ impl Desk {
             let written = self.0.written.lock().unwrap_or_else(PoisonError::into_inner);
             written.get(&id).is_none_or(|(at, before)| {
                 let age = at.elapsed();
-                age >= self.0.engine.lease() / 4 || (age >= WRITE_EVERY && before != report)
+                age >= self.0.rules.lease / 4 || (age >= WRITE_EVERY && before != report)
             })
         };
         let beat = if due {
@@ -107,36 +118,30 @@ impl Desk {
         let newer = self.0.store.job(id).await.map_err(link)?.is_some_and(|job| job.attempt != attempt);
         if newer {
             // not merely dismissed: a worker that was thought lost writes for an attempt that was taken over
-            self.0.fenced.fetch_add(1, Ordering::Relaxed);
+            self.0.tally.fenced(Write::Beat);
         } else {
             self.over(id);
         }
         Ok(Verdict::Fenced)
     }
 
-    async fn received(
-        &self,
-        id: Uuid,
-        attempt: u32,
-        delivery: &Delivery,
-        compute_ms: u64,
-    ) -> Result<Verdict, LinkError> {
+    async fn received(&self, id: Uuid, attempt: u32, delivery: &Delivery, spent: Spent) -> Result<Verdict, LinkError> {
         let output = match delivery {
             Delivery::Failed(exception) => {
                 let outcome = Outcome::Failed(exception.clone());
-                return self.verdict(self.end(id, attempt, outcome, None, compute_ms).await);
+                return self.verdict(Write::Result, self.end(id, attempt, outcome, None, spent).await);
             }
             Delivery::Finished(output) => output,
         };
         if !output.split.is_empty() {
             return match self.children(id, output).await {
-                Ok(jobs) => self.verdict(self.end(id, attempt, Outcome::Split(jobs), None, compute_ms).await),
+                Ok(jobs) => self.verdict(Write::Result, self.end(id, attempt, Outcome::Split(jobs), None, spent).await),
                 Err(problem) if problem.code == Code::Internal => {
                     Err(LinkError(problem.cause.unwrap_or(problem.detail)))
                 }
                 Err(problem) => {
                     let exception = Exception { code: problem.code.slug().into(), detail: problem.detail };
-                    self.verdict(self.end(id, attempt, Outcome::Failed(exception), None, compute_ms).await)
+                    self.verdict(Write::Result, self.end(id, attempt, Outcome::Failed(exception), None, spent).await)
                 }
             };
         }
@@ -146,7 +151,7 @@ impl Desk {
                 == Beat::Stop
         {
             // before its outputs are stored, which nobody would remove
-            return self.fenced(StoreError::Fenced);
+            return self.fenced(Write::Result, StoreError::Fenced);
         }
         let _naming = self.0.naming.read().await;
         let mut outputs = Vec::new();
@@ -160,11 +165,11 @@ impl Desk {
             }
         }
         let outcome = Outcome::Successful { results, outputs };
-        self.verdict(self.end(id, attempt, outcome, output.keep.as_ref(), compute_ms).await)
+        self.verdict(Write::Result, self.end(id, attempt, outcome, output.keep.as_ref(), spent).await)
     }
 
-    fn verdict(&self, ended: Result<(), StoreError>) -> Result<Verdict, LinkError> {
-        ended.map_or_else(|error| self.fenced(error), |()| Ok(Verdict::Counts))
+    fn verdict(&self, write: Write, written: Result<(), StoreError>) -> Result<Verdict, LinkError> {
+        written.map_or_else(|error| self.fenced(write, error), |()| Ok(Verdict::Counts))
     }
 
     /// The jobs that a job goes on as, each checked like a submission.
@@ -194,7 +199,7 @@ impl Desk {
         attempt: u32,
         outcome: Outcome,
         keep: Option<&Value>,
-        compute_ms: u64,
+        spent: Spent,
     ) -> Result<(), StoreError> {
         let now = clock::now();
         let (outcome, kept) = match keep.map(|keep| Process::kept(id, keep, now)).transpose() {
@@ -204,11 +209,15 @@ impl Desk {
                 (Outcome::Failed(Exception { code: Code::JobFailed.slug().into(), detail: error.to_string() }), None)
             }
         };
-        let ended = self.0.store.finish_job(id, attempt, outcome, kept.as_ref(), compute_ms, now).await?;
+        let ended = self.0.store.finish_job(id, attempt, outcome, kept.as_ref(), spent, now).await?;
         self.over(id);
         self.see_to(ended).await;
         Ok(())
     }
+}
+
+fn ms(time: SignedDuration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap_or(0)
 }
 
 /// How a large output stands in the results document.
@@ -249,22 +258,22 @@ impl JobLink for Desk {
         Box::pin(async move {
             let lines: Vec<_> = lines.iter().map(|line| (line.level.clone(), line.message.clone())).collect();
             let stored = self.0.store.append_job_log(job, attempt, &lines, clock::now()).await;
-            self.verdict(stored).map(|_| ())
+            self.verdict(Write::Log, stored).map(|_| ())
         })
     }
 
     fn checkpoint<'a>(&'a self, job: Uuid, attempt: u32, bytes: &'a [u8]) -> Boxed<'a, Result<Verdict, LinkError>> {
         Box::pin(async move {
             let saved = self.0.store.save_checkpoint(job, attempt, bytes, clock::now()).await;
-            self.verdict(saved)
+            self.verdict(Write::Checkpoint, saved)
         })
     }
 
-    fn release(&self, job: Uuid, attempt: u32, compute_ms: u64) -> Boxed<'_, Result<Verdict, LinkError>> {
+    fn release(&self, job: Uuid, attempt: u32, spent: Spent) -> Boxed<'_, Result<Verdict, LinkError>> {
         Box::pin(async move {
-            let released = self.0.store.release_job(job, attempt, compute_ms, clock::now()).await;
+            let released = self.0.store.release_job(job, attempt, spent, clock::now()).await;
             self.over(job);
-            self.verdict(released)
+            self.verdict(Write::Release, released)
         })
     }
 
@@ -273,8 +282,8 @@ impl JobLink for Desk {
         job: Uuid,
         attempt: u32,
         delivery: &'a Delivery,
-        compute_ms: u64,
+        spent: Spent,
     ) -> Boxed<'a, Result<Verdict, LinkError>> {
-        Box::pin(self.received(job, attempt, delivery, compute_ms))
+        Box::pin(self.received(job, attempt, delivery, spent))
     }
 }

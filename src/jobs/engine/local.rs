@@ -16,14 +16,14 @@ use uuid::Uuid;
 use super::{Boxed, Engine, EngineError, Lease, Ticket};
 
 /// Tickets in memory; they are issued again from the table at every start.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub struct Local(Arc<Inner>);
 
+#[derive(Default)]
 struct Inner {
     waiting: Mutex<Waiting>,
     arrived: Notify,
     leased: AtomicU64,
-    lease: Duration,
 }
 
 /// Most urgent first, then first come first served: ids are ordered in time.
@@ -33,22 +33,7 @@ struct Waiting {
     known: HashSet<Uuid>,
 }
 
-/// A worker in the same process dies only with the whole of it, so its lease is as long as a stall may last.
-const LEASE: Duration = Duration::from_secs(30);
-
-impl Default for Local {
-    fn default() -> Self {
-        Self::with_lease(LEASE)
-    }
-}
-
 impl Local {
-    /// An engine whose workers may be silent for another time.
-    #[must_use]
-    pub fn with_lease(lease: Duration) -> Self {
-        Self(Arc::new(Inner { waiting: Mutex::default(), arrived: Notify::new(), leased: AtomicU64::new(0), lease }))
-    }
-
     fn waiting(&self) -> MutexGuard<'_, Waiting> {
         self.0.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -91,10 +76,6 @@ impl Engine for Local {
                 self.0.arrived.notified().await;
             }
         })
-    }
-
-    fn lease(&self) -> Duration {
-        self.0.lease
     }
 
     fn workers_survive(&self) -> bool {

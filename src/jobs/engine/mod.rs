@@ -37,9 +37,6 @@ pub trait Engine: Send + Sync {
     /// fetched ahead.
     fn next(&self) -> Boxed<'_, Result<Box<dyn Lease>, EngineError>>;
 
-    /// How long a worker may be silent before its job is given to another.
-    fn lease(&self) -> Duration;
-
     /// Whether workers may live on when this process or its machine does not.
     fn workers_survive(&self) -> bool;
 

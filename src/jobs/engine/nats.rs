@@ -45,9 +45,18 @@ const MOST_DELIVERIES: i64 = 1000;
 pub struct Nats {
     client: Client,
     context: Context,
-    lease: Duration,
+    // of whoever makes the queues; whoever only takes from them has none, so that all keep to the same
+    lease: Option<Duration>,
     // most urgent first; made again where the server lost them
     queues: RwLock<Vec<PullConsumer>>,
+}
+
+fn most_urgent_first() -> impl Iterator<Item = u8> {
+    (0..=Priority::MAX).rev()
+}
+
+fn queue_name(priority: u8) -> String {
+    format!("priority-{priority}")
 }
 
 fn failed(error: impl std::fmt::Display) -> EngineError {
@@ -55,11 +64,25 @@ fn failed(error: impl std::fmt::Display) -> EngineError {
 }
 
 impl Nats {
-    /// Connects and makes the stream and its consumers where they are not there.
+    /// Connects as the desk does: makes the stream and its consumers, or gives those that are there this lease.
     ///
     /// # Errors
-    /// [`EngineError`] where the server does not answer or refuses.
+    /// [`EngineError`] where the NATS server does not answer or refuses.
     pub async fn connect(url: &str, lease: Duration) -> Result<Self, EngineError> {
+        let engine = Self::open(url, Some(lease)).await?;
+        engine.prepare().await?;
+        Ok(engine)
+    }
+
+    /// Connects as a worker does: takes from what the desk has made, and waits where that is not there yet.
+    ///
+    /// # Errors
+    /// [`EngineError`] where the NATS server does not answer or refuses.
+    pub async fn connect_to_work(url: &str) -> Result<Self, EngineError> {
+        Self::open(url, None).await
+    }
+
+    async fn open(url: &str, lease: Option<Duration>) -> Result<Self, EngineError> {
         let client = async_nats::ConnectOptions::new()
             .name("firn")
             .connection_timeout(ANSWER)
@@ -69,9 +92,7 @@ impl Nats {
             .map_err(failed)?;
         let mut context = jetstream::new(client.clone());
         context.set_timeout(ANSWER);
-        let engine = Self { client, context, lease, queues: RwLock::default() };
-        engine.prepare().await?;
-        Ok(engine)
+        Ok(Self { client, context, lease, queues: RwLock::default() })
     }
 
     /// The connection, for whoever else speaks over it.
@@ -95,6 +116,15 @@ impl Nats {
     }
 
     async fn prepare(&self) -> Result<(), EngineError> {
+        let queues = match self.lease {
+            Some(lease) => self.make(lease).await?,
+            None => self.find().await?,
+        };
+        *self.queues.write().await = queues;
+        Ok(())
+    }
+
+    async fn make(&self, lease: Duration) -> Result<Vec<PullConsumer>, EngineError> {
         let config = stream::Config {
             name: STREAM.into(),
             subjects: vec![format!("{SUBJECT}.*")],
@@ -106,26 +136,37 @@ impl Nats {
         };
         let stream = self.context.get_or_create_stream(config).await.map_err(failed)?;
         let mut queues = Vec::new();
-        for priority in (0..=Priority::MAX).rev() {
-            let name = format!("priority-{priority}");
+        for priority in most_urgent_first() {
             let config = pull::Config {
-                durable_name: Some(name.clone()),
+                durable_name: Some(queue_name(priority)),
                 filter_subject: format!("{SUBJECT}.{priority}"),
                 ack_policy: AckPolicy::Explicit,
-                ack_wait: self.lease,
+                ack_wait: lease,
                 max_deliver: MOST_DELIVERIES,
                 max_ack_pending: 100_000,
                 ..pull::Config::default()
             };
-            queues.push(stream.get_or_create_consumer(&name, config).await.map_err(failed)?);
+            // one that is there gets this lease
+            queues.push(stream.create_consumer(config).await.map_err(failed)?);
         }
-        *self.queues.write().await = queues;
-        Ok(())
+        Ok(queues)
+    }
+
+    async fn find(&self) -> Result<Vec<PullConsumer>, EngineError> {
+        let stream = self.context.get_stream(STREAM).await.map_err(failed)?;
+        let mut queues = Vec::new();
+        for priority in most_urgent_first() {
+            queues.push(stream.get_consumer(&queue_name(priority)).await.map_err(failed)?);
+        }
+        Ok(queues)
     }
 
     /// One ticket, if any waits, the most urgent first.
     async fn take(&self) -> Result<Option<Message>, EngineError> {
         let queues = self.queues.read().await;
+        if queues.is_empty() {
+            return Err(EngineError("the server has not made its queues there yet".into()));
+        }
         for queue in queues.iter() {
             let answer = async {
                 let mut batch = queue.fetch().max_messages(1).messages().await.map_err(failed)?;
@@ -200,10 +241,6 @@ impl Engine for Nats {
                 }
             }
         })
-    }
-
-    fn lease(&self) -> Duration {
-        self.lease
     }
 
     fn workers_survive(&self) -> bool {

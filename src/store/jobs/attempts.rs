@@ -7,8 +7,8 @@ use uuid::Uuid;
 
 use super::{children, history, outputs, rows::JobRow, step};
 use crate::{
-    domain::job::{Event, Exception, Job, Report, Status},
-    store::{Result, Store, StoreError, models, models::NewModel, to_json},
+    domain::job::{Event, Exception, Job, Report, Spent, Status},
+    store::{Result, Store, StoreError, models, models::NewModel, parse_timestamp, to_json},
 };
 
 /// What became of the wish to take a job.
@@ -20,9 +20,11 @@ pub enum Claim {
         job: Box<Job>,
         /// The state to go on from.
         checkpoint: Option<Vec<u8>>,
+        /// Whether the attempt before lost its lease.
+        lease_lost: bool,
     },
-    /// Another worker has it and its lease holds.
-    Busy,
+    /// Another worker has it and its lease holds for so long.
+    Busy(SignedDuration),
     /// It has ended or was removed: its ticket is of no more use.
     Over,
     /// It took its worker down too often and was failed now, which brought this about.
@@ -82,10 +84,12 @@ impl Store {
         survives: bool,
     ) -> Result<Claim> {
         let mut tx = if survives { self.begin().await? } else { self.begin_lightly().await? };
-        let row = sqlx::query("SELECT status, lease_until_ms, lost, waits_for_children FROM job WHERE id = ?")
-            .bind(id.to_string())
-            .fetch_optional(&mut *tx)
-            .await?;
+        let row = sqlx::query(
+            "SELECT status, lease_until_ms, lost, waits_for_children, claimed_ms, updated FROM job WHERE id = ?",
+        )
+        .bind(id.to_string())
+        .fetch_optional(&mut *tx)
+        .await?;
         let Some(row) = row else { return Ok(Claim::Over) };
         let status = row.try_get::<String, _>("status")?;
         let status = Status::from_name(&status).ok_or_else(|| StoreError::corrupt(status))?;
@@ -93,10 +97,19 @@ impl Store {
             return Ok(Claim::Over);
         }
         let orphaned = status == Status::Running;
-        if orphaned && row.try_get::<i64, _>("lease_until_ms")? >= now.as_millisecond() {
-            return Ok(Claim::Busy);
+        let lease_left = row.try_get::<i64, _>("lease_until_ms")? - now.as_millisecond();
+        if orphaned && lease_left >= 0 {
+            return Ok(Claim::Busy(SignedDuration::from_millis(lease_left)));
         }
         let lost: i64 = row.try_get::<i64, _>("lost")? + i64::from(orphaned);
+        // a parent that is put together is running without a worker, and no attempt of it was lost
+        let lease_lost = orphaned && lost > 0;
+        if lease_lost {
+            // nobody told what it was spent on: it lived at least until its last sign of life
+            let last_sign = parse_timestamp(row.try_get("updated")?)?.as_millisecond();
+            let compute_ms = u64::try_from(last_sign - row.try_get::<i64, _>("claimed_ms")?).unwrap_or(0);
+            spend(&mut tx, id, Spent { compute_ms, ..Spent::default() }).await?;
+        }
         if lost >= MOST_LOST_ATTEMPTS {
             let detail = format!("{lost} attempts in a row ended without a word: the job takes its worker down");
             let ended = fail(&mut tx, id, &Exception { code: "crashed-repeatedly".into(), detail }, now).await?;
@@ -106,8 +119,9 @@ impl Store {
         let next = step(&mut tx, id, Event::Claim).await?;
         let job = sqlx::query_as::<_, JobRow>(
             "UPDATE job SET status = ?2, attempt = attempt + 1, lost = ?3, worker = ?4, lease_until_ms = ?5,
-                 progress = coalesce((SELECT progress FROM job_checkpoint WHERE job_checkpoint.job = job.id), 0), phase = NULL, rate = NULL, rate_unit = NULL, eta_seconds = NULL,
-                 started = coalesce(started, ?6), updated = ?6
+                 progress = coalesce((SELECT progress FROM job_checkpoint WHERE job_checkpoint.job = job.id), 0),
+                 phase = NULL, rate = NULL, rate_unit = NULL, eta_seconds = NULL,
+                 started = coalesce(started, ?6), updated = ?6, claimed_ms = ?7
              WHERE id = ?1 RETURNING *",
         )
         .bind(id.to_string())
@@ -116,6 +130,7 @@ impl Store {
         .bind(worker)
         .bind(after(now, lease))
         .bind(now.to_string())
+        .bind(now.as_millisecond())
         .fetch_one(&mut *tx)
         .await?
         .0;
@@ -124,14 +139,14 @@ impl Store {
             .fetch_optional(&mut *tx)
             .await?;
         history::note(&mut tx, id, "status", &serde_json::json!({"status": next, "attempt": job.attempt})).await?;
-        if orphaned && lost > 0 {
+        if lease_lost {
             let message = "the attempt before ended without a word: its worker was lost";
             history::log(&mut tx, id, job.attempt - 1, now, "warn", message).await?;
         }
         let from = if checkpoint.is_some() { "from its last checkpoint" } else { "from its beginning" };
         history::log(&mut tx, id, job.attempt, now, "info", &format!("taken by {worker}, {from}")).await?;
         tx.commit().await?;
-        Ok(Claim::Taken { job: Box::new(job), checkpoint })
+        Ok(Claim::Taken { job: Box::new(job), checkpoint, lease_lost })
     }
 
     /// A sign of life of an attempt: prolongs its lease and notes how far it is.
@@ -212,18 +227,16 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Fenced`] where the attempt counts no more.
-    pub async fn release_job(&self, id: Uuid, attempt: u32, compute_ms: u64, now: Timestamp) -> Result<()> {
+    pub async fn release_job(&self, id: Uuid, attempt: u32, spent: Spent, now: Timestamp) -> Result<()> {
         let mut tx = self.begin().await?;
         fence(&mut tx, id, attempt).await?;
+        spend(&mut tx, id, spent).await?;
         let status = step(&mut tx, id, Event::Release).await?;
         sqlx::query(
-            "UPDATE job SET status = ?2, lease_until_ms = 0, ticketed_ms = 0, phase = NULL, compute_ms = compute_ms + ?3,
-                 updated = ?4
-             WHERE id = ?1",
+            "UPDATE job SET status = ?2, lease_until_ms = 0, ticketed_ms = 0, phase = NULL, updated = ?3 WHERE id = ?1",
         )
         .bind(id.to_string())
         .bind(status.name())
-        .bind(i64::try_from(compute_ms).unwrap_or(i64::MAX))
         .bind(now.to_string())
         .execute(&mut *tx)
         .await?;
@@ -243,18 +256,12 @@ impl Store {
         attempt: u32,
         outcome: Outcome,
         keep: Option<&NewModel>,
-        compute_ms: u64,
+        spent: Spent,
         now: Timestamp,
     ) -> Result<Ended> {
         let mut tx = self.begin().await?;
         fence(&mut tx, id, attempt).await?;
-        if !matches!(outcome, Outcome::Successful { .. }) {
-            sqlx::query("UPDATE job SET compute_ms = compute_ms + ?2 WHERE id = ?1")
-                .bind(id.to_string())
-                .bind(i64::try_from(compute_ms).unwrap_or(i64::MAX))
-                .execute(&mut *tx)
-                .await?;
-        }
+        spend(&mut tx, id, spent).await?;
         let ended = match outcome {
             Outcome::Split(jobs) => children::split(&mut tx, (id, attempt), &jobs, now).await?,
             Outcome::Failed(exception) => {
@@ -271,7 +278,7 @@ impl Store {
                     results = document;
                 }
                 outputs::insert(&mut tx, id, &outputs).await?;
-                succeed(&mut tx, id, &results, compute_ms, now).await?
+                succeed(&mut tx, id, &results, now).await?
             }
         };
         tx.commit().await?;
@@ -308,16 +315,33 @@ pub(super) async fn fence(tx: &mut Transaction<'_, Sqlite>, id: Uuid, attempt: u
     holds.map(|_| ()).ok_or(StoreError::Fenced)
 }
 
+/// Adds to what was spent on a job.
+async fn spend(tx: &mut Transaction<'_, Sqlite>, id: Uuid, spent: Spent) -> Result<()> {
+    let whole = |ms: u64| i64::try_from(ms).unwrap_or(i64::MAX);
+    sqlx::query(
+        "UPDATE job SET compute_ms = compute_ms + ?2, states = states + ?3, saving_ms = saving_ms + ?4,
+             storing_ms = storing_ms + ?5
+         WHERE id = ?1",
+    )
+    .bind(id.to_string())
+    .bind(whole(spent.compute_ms))
+    .bind(spent.states)
+    .bind(whole(spent.saving_ms))
+    .bind(whole(spent.storing_ms))
+    .execute(&mut **tx)
+    .await?;
+    Ok(())
+}
+
 async fn succeed(
     tx: &mut Transaction<'_, Sqlite>,
     id: Uuid,
     results: &serde_json::Value,
-    compute_ms: u64,
     now: Timestamp,
 ) -> Result<Ended> {
     let status = step(tx, id, Event::Succeed).await?;
     sqlx::query(
-        "UPDATE job SET status = ?2, compute_ms = compute_ms + ?5, progress = 100, results = ?3, message = NULL, exception = NULL, phase = NULL,
+        "UPDATE job SET status = ?2, progress = 100, results = ?3, message = NULL, exception = NULL, phase = NULL,
              eta_seconds = NULL, finished = ?4, updated = ?4
          WHERE id = ?1",
     )
@@ -325,7 +349,6 @@ async fn succeed(
     .bind(status.name())
     .bind(to_json(results)?)
     .bind(now.to_string())
-    .bind(i64::try_from(compute_ms).unwrap_or(i64::MAX))
     .execute(&mut **tx)
     .await?;
     after_the_end(tx, id, status, now).await

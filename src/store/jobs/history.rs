@@ -177,10 +177,12 @@ impl Store {
     /// [`StoreError::Sql`] where it cannot be stored.
     pub async fn retire_jobs(&self, retention: Retention) -> Result<(usize, Vec<String>)> {
         let mut tx = self.begin().await?;
+        // what a job needs is what it and its children need: they go with it
         let rows = sqlx::query(
             "SELECT job.id AS id, julianday(finished) < julianday(?) AS old,
-                    length(inputs) + coalesce(length(results), 0)
-                        + coalesce((SELECT sum(size) FROM job_output WHERE job_output.job = job.id), 0) AS bytes
+                    (SELECT sum(length(part.inputs) + coalesce(length(part.results), 0)
+                        + coalesce((SELECT sum(size) FROM job_output WHERE job_output.job = part.id), 0))
+                     FROM job AS part WHERE part.id = job.id OR part.parent = job.id) AS bytes
              FROM job WHERE status IN (?, ?, ?) AND parent IS NULL ORDER BY id DESC",
         )
         .bind(retention.ended_before.to_string())

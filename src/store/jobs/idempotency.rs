@@ -79,6 +79,17 @@ impl Store {
         Ok(Held::New)
     }
 
+    /// Remembers the answer to a request that made no job: it was computed before.
+    ///
+    /// # Errors
+    /// [`crate::store::StoreError::Sql`] where it cannot be stored.
+    pub async fn settle_key(&self, reservation: &Reservation, answer: &Answer) -> Result<()> {
+        let mut tx = self.begin().await?;
+        settle(&mut tx, reservation, answer).await?;
+        tx.commit().await?;
+        Ok(())
+    }
+
     /// Lets go of a key whose request was refused: nothing is remembered of it.
     ///
     /// # Errors

@@ -45,6 +45,19 @@ pub struct JobFilter {
     pub before: Option<Uuid>,
 }
 
+/// The jobs of a process that have not ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Queue {
+    /// Which process.
+    pub process_id: String,
+    /// How many wait for a worker.
+    pub waiting: u32,
+    /// When the job was accepted that waits longest.
+    pub oldest: Option<Timestamp>,
+    /// How many a worker has, or wait for their children.
+    pub running: u32,
+}
+
 /// Moves a job on by `event`, or says why that cannot be.
 async fn step(tx: &mut Transaction<'_, Sqlite>, id: Uuid, event: Event) -> Result<Status> {
     let status: Option<String> = sqlx::query_scalar("SELECT status FROM job WHERE id = ?")
@@ -180,7 +193,34 @@ impl Store {
         Ok(rows.into_iter().map(|row| row.0).collect())
     }
 
-    /// How many jobs wait for a worker, and since when the one that waits longest.
+    /// The queue of each process that has jobs which have not ended.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn job_queues(&self) -> Result<Vec<Queue>> {
+        // ids are ordered in time
+        let rows = sqlx::query(
+            "SELECT process_id, sum(status = 'accepted') AS waiting, sum(status = 'running') AS running,
+                    (SELECT created FROM job AS first WHERE first.process_id = job.process_id
+                         AND first.status = 'accepted' ORDER BY id LIMIT 1) AS oldest
+             FROM job WHERE status IN ('accepted', 'running') GROUP BY process_id",
+        )
+        .fetch_all(&self.reader)
+        .await?;
+        rows.iter()
+            .map(|row| {
+                let oldest: Option<String> = row.try_get("oldest")?;
+                Ok(Queue {
+                    process_id: row.try_get("process_id")?,
+                    waiting: row.try_get("waiting")?,
+                    oldest: oldest.as_deref().map(super::parse_timestamp).transpose()?,
+                    running: row.try_get("running")?,
+                })
+            })
+            .collect()
+    }
+
+    /// How many jobs wait for a worker.
     ///
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
@@ -224,11 +264,19 @@ impl Store {
     }
 
     /// Removes a job that has ended, with its children, and says which outputs lie in the artifact store no more needed.
+    /// A child goes with its parent alone, which is put together from it and may name its outputs.
     ///
     /// # Errors
-    /// [`StoreError::Missing`] where there is no ended job of that id.
+    /// [`StoreError::Child`] where it is part of another, [`StoreError::Missing`] where there is no ended job of that id.
     pub async fn remove_job(&self, id: Uuid) -> Result<Vec<String>> {
         let mut tx = self.begin().await?;
+        let parent: Option<Option<String>> = sqlx::query_scalar("SELECT parent FROM job WHERE id = ?")
+            .bind(id.to_string())
+            .fetch_optional(&mut *tx)
+            .await?;
+        if let Some(parent) = parent.flatten() {
+            return Err(StoreError::Child(parent.parse().map_err(StoreError::corrupt)?));
+        }
         let digests = outputs::only_of(&mut tx, id).await?;
         let done = sqlx::query("DELETE FROM job WHERE id = ? AND status IN ('successful', 'failed', 'dismissed')")
             .bind(id.to_string())
@@ -291,6 +339,15 @@ impl Store {
 
 async fn dismiss_one(tx: &mut Transaction<'_, Sqlite>, id: Uuid, now: Timestamp) -> Result<Ended> {
     let status = step(tx, id, Event::Dismiss).await?;
+    // what it was spent on is not told by its worker any more
+    sqlx::query(
+        "UPDATE job SET compute_ms = compute_ms + max(0, ?2 - claimed_ms)
+         WHERE id = ?1 AND status = 'running' AND waits_for_children = 0",
+    )
+    .bind(id.to_string())
+    .bind(now.as_millisecond())
+    .execute(&mut **tx)
+    .await?;
     sqlx::query(
         "UPDATE job SET status = ?2, message = 'dismissed on request', phase = NULL, waits_for_children = 0,
              finished = ?3, updated = ?3

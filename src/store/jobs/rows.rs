@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use sqlx::{FromRow, Row, sqlite::SqliteRow};
 
 use crate::{
-    domain::job::{Job, Priority, Report, Status},
+    domain::job::{Job, Priority, Report, Spent, Status},
     store::{Result, StoreError, from_json, parse_timestamp},
 };
 
@@ -45,7 +45,12 @@ fn read(row: &SqliteRow) -> Result<Job> {
         position: row.try_get("position")?,
         attempt: row.try_get("attempt")?,
         worker: row.try_get("worker")?,
-        compute_ms: row.try_get("compute_ms")?,
+        spent: Spent {
+            compute_ms: row.try_get("compute_ms")?,
+            states: row.try_get("states")?,
+            saving_ms: row.try_get("saving_ms")?,
+            storing_ms: row.try_get("storing_ms")?,
+        },
         created: parse_timestamp(row.try_get("created")?)?,
         started: instant("started")?,
         finished: instant("finished")?,
