@@ -375,9 +375,10 @@ async fn a_state_on_its_way_holds_nothing_up(mut rig: Rig) {
         stops.store(true, Ordering::Relaxed);
         Err(Failure::Cancelled)
     });
-    let _idle = rig.worker("two", 1);
     let long = rig.submit(json!({"message": "long"}), 5).await;
     rig.state_on_its_way().await;
+    // it has nothing to do but to take over
+    let _idle = rig.worker("two", 1);
     tokio::time::sleep(Duration::from_secs(4)).await;
     let job = rig.job(long).await;
     assert_eq!((job.status, job.attempt), (Status::Running, 1), "its lease is kept");
