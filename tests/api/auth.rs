@@ -116,6 +116,7 @@ fn operations(document: &Value) -> Vec<(Method, String)> {
             .replace("{model}", "00000000-0000-7000-8000-000000000000")
             .replace("{feature_set}", "expert")
             .replace("{output}", "model_id")
+            .replace("{frame}", "0")
             .replace("{code}", "not-found");
         assert!(!path.contains('{'), "{path}: give the test a value for its variable part");
         for method in item.as_object().unwrap().keys().filter(|key| !matches!(key.as_str(), "parameters" | "summary")) {

@@ -15,6 +15,7 @@ mod jobs;
 mod observations;
 mod problems;
 mod processes;
+mod runout;
 mod startup;
 mod stations;
 mod support;
