@@ -12,6 +12,7 @@ use super::lanes::{Real, max, sinh};
 
 /// How a stress outside the yield surface comes back to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum FlowRule {
     /// To the closest point in the energy norm, at the hardening of the step's start.

@@ -29,6 +29,7 @@ const BETWEEN_LOOKS: u64 = 500_000;
 
 /// How the snow meets the bed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Contact {
     /// Coulomb friction while snow is pressed against the bed; it may lift off.
@@ -40,6 +41,7 @@ pub enum Contact {
 
 /// Numbers in which a run is computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
     /// Single precision: about twice as fast.
