@@ -24,15 +24,15 @@ fn timed(inputs: &RunoutInputs) -> (Outcome, usize, f64) {
     let plan = Plan::new(inputs, MEMORY).expect("inputs that are accepted");
     let mut largest = 0;
     let begun = Instant::now();
-    let outcome =
-        run(&plan, &Unobserved, &mut |_, frame| largest = largest.max(frame.len())).expect("a run that ends");
+    let outcome = run(&plan, &Unobserved, &mut |_, frame| largest = largest.max(frame.len())).expect("a run that ends");
     (outcome, largest, begun.elapsed().as_secs_f64())
 }
 
 fn flows(mesh_m: f64) {
     let names = [ScenarioName::ColdDense, ScenarioName::WarmShear, ScenarioName::SlidingSlab, ScenarioName::WarmPlug];
     for name in names {
-        let (outcome, largest, seconds) = timed(&RunoutInputs { mesh_m: Some(mesh_m), ..RunoutInputs::of_scenario(name, None) });
+        let (outcome, largest, seconds) =
+            timed(&RunoutInputs { mesh_m: Some(mesh_m), ..RunoutInputs::of_scenario(name, None) });
         let mut summary = outcome.summary;
         summary.particle_steps_per_s = Some(summary.steps as f64 * summary.particles as f64 / seconds);
         let text = serde_json::to_string_pretty(&summary).expect("numbers");
