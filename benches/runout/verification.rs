@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         flow_rule: FlowRule::Associative,
         shear_norm: norm,
         mesh_m,
-        time_step_s: 2.3e-4 * mesh_m / 0.05,
+        time_step_s: 2.3e-4 * mesh_m / 0.05 * std::env::var("DTF").map_or(1.0, |d| d.parse().unwrap_or(1.0)),
         limited_above: limited,
         precision,
         memory_limit_bytes: 8 << 30,
@@ -42,9 +42,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut s = Simulation::new(&setup)?;
     let e0 = s.energies();
     let mut k = 0;
-    let (mut vmax99, mut vcom) = (0.0f64, 0.0f64);
+    let (mut vmax99, mut vcom, mut vmean) = (0.0f64, 0.0f64, 0.0f64);
     let mut last = f64::NAN;
     let mut top = 0.0f64;
+    let mut com0 = 0.0;
     while s.time_s() < end {
         k += 1;
         let r = s.step_until(f64::from(k) / 24.0, &Unobserved)?;
@@ -60,11 +61,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         let cx = f.vx_m_s.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
         let cz = f.vz_m_s.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
         vcom = vcom.max(cx.hypot(cz));
+        vmean = vmean.max(v.clone().sum::<f64>() / n);
         let mut sp: Vec<f64> = v.collect();
         sp.sort_by(f64::total_cmp);
         let v99 = sp[(0.99 * n) as usize];
         vmax99 = vmax99.max(v99);
-        last = front;
+        last = front; com0 = com;
         if k % 24 == 0 || r != Advance::Reached {
             let e = s.energies();
             let sum = e.kinetic + e.affine + e.potential + e.elastic + e.bed + e.plastic + e.transfer;
@@ -89,6 +91,6 @@ fn main() -> Result<(), Box<dyn Error>> {
             break;
         }
     }
-    println!("END v99max {vmax99:.2} vcom max {vcom:.2} front {last:.2} top {top:.2}");
+    println!("END v99max {vmax99:.2} vcom max {vcom:.2} mean {vmean:.2} com {com0:.2} front {last:.2} top {top:.2}");
     Ok(())
 }

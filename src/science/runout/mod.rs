@@ -36,4 +36,10 @@ mod plan_tests;
 #[cfg(test)]
 mod run_tests;
 #[cfg(test)]
+mod dynamics_tests;
+#[cfg(test)]
+mod flow_tests;
+#[cfg(test)]
+mod material_tests;
+#[cfg(test)]
 mod terrain_tests;

@@ -163,6 +163,7 @@ impl Plan {
             mass_kg_m,
             drop_height_m: self.drop_height_m,
             mid_slope_m: self.mid_slope_m,
+            indicators: self.indicators,
         }
     }
 

@@ -200,14 +200,15 @@ mod tests {
     #[test]
     fn a_class_that_hangs_on_any_one_threshold_is_transitional() {
         // each moves one number of a typical flow to within a fifth of its threshold, from both sides
-        let with = |change: fn(&mut Criteria, f64), value: f64, base: Criteria| {
+        type Change = fn(&mut Criteria, f64);
+        let with = |change: Change, value: f64, base: Criteria| {
             let mut criteria = base;
             change(&mut criteria, value);
             classify(criteria).class
         };
         let slab = tabulated(0.99, 1.0, [0.0, 0.27], [0.06, 0.33], 0.3);
         let plug = tabulated(0.98, 0.99, [0.0, 0.0], [0.0, 0.0], 0.1);
-        let cases: [(fn(&mut Criteria, f64), [f64; 2], Criteria); 7] = [
+        let cases: [(Change, [f64; 2], Criteria); 7] = [
             (|c, v| c.mid.slip = v, [0.6, 0.8], cold_dense()),
             (|c, v| c.mid.stretch = v, [1.7, 2.3], cold_dense()),
             (|c, v| c.mid.gap = v, [0.041, 0.059], cold_dense()),

@@ -267,6 +267,26 @@ fn trial<T: Real>(material: &Material<T>, block: &mut Block<T>, scratch: &mut Sc
     }
 }
 
+/// Deforms the particles of a block; returns the plastic work.
+#[inline(always)]
+fn deform<T: Real>(material: &Material<T>, block: &mut Block<T>, scratch: &mut Scratch<T>) -> f64 {
+    trial(material, block, scratch);
+    (0..BLOCK / GROUP).map(|group| plastic_return(material, block, scratch, group)).sum()
+}
+
+/// The Kirchhoff stresses (xx, zz, xz) of a block after a deformation, and the plastic work, as a step computes them.
+#[cfg(test)]
+pub(super) fn deformed<T: Real>(
+    material: &Material<T>,
+    block: &mut Block<T>,
+    motion: &Motion<T>,
+) -> ([[T; BLOCK]; 3], f64) {
+    let mut scratch = Scratch::new();
+    scratch.motion = *motion;
+    let work = deform(material, block, &mut scratch);
+    ([scratch.txx, scratch.tzz, scratch.txz], work)
+}
+
 /// Brings the stresses of a group back to the yield surface, if any is outside; returns the plastic work.
 #[inline(always)]
 fn plastic_return<T: Real>(
@@ -274,7 +294,7 @@ fn plastic_return<T: Real>(
     block: &mut Block<T>,
     scratch: &mut Scratch<T>,
     group: usize,
-) -> Option<f64> {
+) -> f64 {
     let (zero, two) = (T::of(0.0), T::of(2.0));
     let at = GROUP * group;
     let window = |values: &[T; BLOCK]| {
@@ -289,7 +309,7 @@ fn plastic_return<T: Real>(
         any_strong |= u32::from((yielding[k] > zero) & (strength[k] > material.weakest));
     }
     if any == 0 {
-        return None;
+        return 0.0;
     }
     let (volumetric, deviatoric) = (window(&scratch.volumetric), window(&scratch.deviatoric));
     let mut volume = [zero; GROUP];
@@ -342,7 +362,7 @@ fn plastic_return<T: Real>(
     for lost in &lost[..count] {
         sum += lost.f64();
     }
-    Some(sum)
+    sum
 }
 
 /// What is scattered of velocities, gradients and stresses, at the new place.
@@ -425,10 +445,7 @@ fn step<T: Real>(step: &Step<'_, T>, blocks: &mut [Block<T>], motion: &mut [Moti
         if let Some(motion) = keep.next() {
             *motion = scratch.motion;
         }
-        trial(step.material, block, &mut scratch);
-        for group in 0..BLOCK / GROUP {
-            grid.plastic += plastic_return(step.material, block, &mut scratch, group).unwrap_or(0.0);
-        }
+        grid.plastic += deform(step.material, block, &mut scratch);
         limit(step, block, &mut scratch);
         advance(&scratch.motion, &mut block.place);
         prepare(&block.place, &mut scratch);

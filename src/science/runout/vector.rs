@@ -158,13 +158,11 @@ mod tests {
     proptest! {
         #[test]
         fn every_machine_computes_what_arrays_do(
-            a in prop::array::uniform4(any::<f64>()),
-            b in prop::array::uniform4(any::<f64>()),
+            a in prop::array::uniform4(-1e20..1e20),
+            b in prop::array::uniform4(-1e-3..1e20),
         ) {
-            // the bits of what is no number are no part of the promise
-            prop_assume!(a.iter().chain(&b).all(|x| x.is_finite() && x.abs() < 1e150));
             prop_assert_eq!(results::<f64, f64x4>(&a, &b), results::<f64, Plain<f64>>(&a, &b));
-            let (a, b) = (a.map(|x| (x / 1e120) as f32), b.map(|x| (x / 1e120) as f32));
+            let (a, b) = (a.map(|x| x as f32 / 1e10), b.map(|x| x as f32 / 1e10));
             prop_assert_eq!(results::<f32, f32x4>(&a, &b), results::<f32, Plain<f32>>(&a, &b));
         }
     }

@@ -12,6 +12,7 @@ pub use series::{EnergyRecord, FRONT, Series, TAIL};
 pub use summary::{Deposit, Ending, ReachAngles, Summary};
 
 use super::GRAVITY_M_S2;
+use super::regime::Indicators;
 use super::release::Slab;
 use super::snapshot::{Energies, Snapshot};
 use super::terrain::Terrain;
@@ -43,6 +44,8 @@ pub struct Scene {
     pub drop_height_m: f64,
     /// Where along the track the middle of the slope is, m.
     pub mid_slope_m: f64,
+    /// What the parameters alone say of the flow.
+    pub indicators: Indicators,
 }
 
 /// Everything observed so far; serialised it is the observer's part of a checkpoint.

@@ -28,6 +28,9 @@ pub struct Series {
     pub front_m: Vec<f64>,
     /// The same along the bed, m of arc length since the bed's left end.
     pub front_along_bed_m: Vec<f64>,
+    /// Velocity of the front along the bed, m/s: the slope of the straight line that is fitted by least squares to its
+    /// positions from three frames before to three frames after, an eighth of a second each way.
+    pub front_velocity_m_s: Vec<f64>,
     /// Tail: 1 % quantile of the mass along x, m.
     pub tail_m: Vec<f64>,
     /// Centre of mass along x, m.
@@ -111,6 +114,7 @@ impl Series {
         self.density_kg_m3.push(mean_of(&snapshot.density_kg_m3));
         let (tail, front) = (quantile(on_bed.s.clone(), TAIL), quantile(on_bed.s.clone(), FRONT));
         self.front_along_bed_m.push(front);
+        self.fit_front_velocity();
         self.shape.push(shape(snapshot, on_bed, bins, (tail, front), release_length_m));
         self.energies.push((*energies).into());
     }
@@ -121,16 +125,14 @@ impl Series {
         self.com_vx_m_s.iter().zip(&self.com_vz_m_s).map(|(vx, vz)| vx.hypot(*vz)).collect()
     }
 
-    /// Velocity of the front along the bed, m/s, one entry a frame: the slope of the straight line that is fitted by least
-    /// squares to its positions from three frames before to three frames after, an eighth of a second each way.
-    #[must_use]
-    pub fn front_velocity_m_s(&self) -> Vec<f64> {
+    /// Velocities of the front that the newest frame changes.
+    fn fit_front_velocity(&mut self) {
         let frames = self.time_s.len();
-        let fit = |frame: usize| {
+        self.front_velocity_m_s.truncate(frames.saturating_sub(FIT_FRAMES + 1));
+        for frame in self.front_velocity_m_s.len()..frames {
             let near = frame.saturating_sub(FIT_FRAMES)..(frame + FIT_FRAMES + 1).min(frames);
-            slope(&self.time_s[near.clone()], &self.front_along_bed_m[near])
-        };
-        (0..frames).map(fit).collect()
+            self.front_velocity_m_s.push(slope(&self.time_s[near.clone()], &self.front_along_bed_m[near]));
+        }
     }
 }
 

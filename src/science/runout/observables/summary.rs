@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Observer, Scene, Series};
 use crate::runout::GRAVITY_M_S2;
-use crate::runout::regime::{Criteria, FlowShape, Regime, classify};
+use crate::runout::regime::{Criteria, FlowShape, Indicators, Regime, classify};
 
 /// Share of the mean mass of a bin below which it is no deposit but scattered snow.
 const SCATTERED: f64 = 0.1;
@@ -30,7 +30,7 @@ pub struct Summary {
     pub v_max: f64,
     /// `v_max` over sqrt(g H0), dimensionless; `H0` is the drop height of the scene.
     pub v_max_scaled: f64,
-    /// Largest velocity of the front along the bed, m/s; see [`Series::front_velocity_m_s`].
+    /// Largest velocity of the front along the bed, m/s; see [`Series`].
     pub front_v_max: f64,
     /// Front at the end: 99 % quantile of the mass along x, m.
     pub front_m: f64,
@@ -46,6 +46,8 @@ pub struct Summary {
     pub deposit: Deposit,
     /// Flow regime.
     pub regime: Regime,
+    /// What the parameters alone say of the flow.
+    pub indicators: Indicators,
     /// Largest energy at any time that no term accounts for, as a share of the potential energy released in all.
     pub energy_closure: f64,
     /// Why the run ended.
@@ -95,7 +97,7 @@ impl Observer {
         Some(Summary {
             v_max,
             v_max_scaled: v_max / (GRAVITY_M_S2 * scene.drop_height_m).sqrt(),
-            front_v_max: largest(&series.front_velocity_m_s()),
+            front_v_max: largest(&series.front_velocity_m_s),
             front_m: series.front_m[last],
             com_v_max: largest(&series.com_speed_m_s()),
             com_end_m: series.com_x_m[last],
@@ -103,6 +105,7 @@ impl Observer {
             reach_angle_deg: reach_angles(scene, series, last),
             deposit: self.deposit(series.shape[last]),
             regime: classify(self.criteria(last)),
+            indicators: scene.indicators,
             energy_closure: self.energy_closure(last),
             ending,
             duration_s: series.time_s[last],

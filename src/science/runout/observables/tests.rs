@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::runout::GRAVITY_M_S2;
-use crate::runout::regime::RegimeClass;
+use crate::runout::regime::{Indicators, RegimeClass};
 
 /// A flat bed from -100 to 400 m behind a slope that nothing lies on; arc length 0 lies at its top.
 fn flat() -> Terrain {
@@ -11,7 +11,8 @@ fn flat() -> Terrain {
 
 fn scene(terrain: Terrain) -> Scene {
     let slab = Slab { x_m: 0.0, length_m: 10.0, thickness_m: 1.0 };
-    Scene { terrain, slab, mass_kg_m: 2500.0, drop_height_m: 50.0, mid_slope_m: 10.9 }
+    let indicators = Indicators { friction_ratio: None, cohesion: 1.0, ductility: 0.1 };
+    Scene { indicators, terrain, slab, mass_kg_m: 2500.0, drop_height_m: 50.0, mid_slope_m: 10.9 }
 }
 
 /// 100 by 20 particles that fill 10 m by 1 m from (`x`, 0) on and move along x with `velocity(height)`.
@@ -133,6 +134,11 @@ fn a_run_is_summarised() {
     close(summary.v_max, 12.0, 1e-12);
     close(summary.v_max_scaled, 12.0 / (GRAVITY_M_S2 * 50.0).sqrt(), 1e-12);
     close(summary.front_v_max, 12.0, 1e-4);
+    let velocities = &observer.seen().series.front_velocity_m_s;
+    assert_eq!(velocities.len(), 72);
+    // as long as all seven frames of the fit are of the flight or of the stand
+    assert!(velocities[..22].iter().all(|velocity| (velocity - 12.0).abs() < 1e-4));
+    assert!(velocities[27..].iter().all(|velocity| velocity.abs() < 1e-4));
     close(summary.com_v_max, 12.0, 1e-12);
     close(summary.front_m, 21.85, 1e-5);
     close(summary.com_end_m, 17.0, 1e-5);
