@@ -10,42 +10,10 @@
 use std::{collections::HashMap, error::Error, time::Instant};
 
 use firn_science::progress::Unobserved;
-use firn_science::runout::{
-    Contact, LIMITED_ABOVE, Precision, RunoutError, Setup, Simulation,
-    material::{FlowRule, ShearNorm, Snow},
-    release::Slab,
-    terrain::Terrain,
-};
+use firn_science::runout::{Precision, RunoutError, Setup, Simulation};
 
-/// Group II of Table 1, `scale` times as large, with the snow of a regime: M, beta, xi, p0.
-fn setup(regime: &str, scale: f64, mesh_m: f64, precision: Precision) -> Result<Setup, Box<dyn Error>> {
-    let snow = match regime {
-        "cold_dense" => Snow::li_2020(0.5, 0.0, 1.0, 3e3),
-        "warm_shear" => Snow::li_2020(1.5, 0.3, 1.0, 30e3),
-        "sliding_slab" => Snow::li_2020(1.5, 0.5, 1.0, 42e3),
-        "warm_plug" => Snow::li_2020(0.5, 1.0, 0.1, 12e3),
-        other => return Err(format!("no regime {other}").into()),
-    };
-    let terrain = Terrain::slope_arc_flat(40.0, 10.0 * scale, -80.0 * scale, 260.0 * scale)?;
-    let angle = 40_f64.to_radians();
-    // the block's centre at mid depth: H0 = L0 tan(theta) - (r - h0/2) / cos(theta) + r
-    let height = 65.0 * angle.tan() - 9.0 / angle.cos() + 10.0;
-    let release = Slab::centred(&terrain, [-65.0 * scale, height * scale], 12.0 * scale, 2.0 * scale);
-    Ok(Setup {
-        terrain,
-        release,
-        snow,
-        bed_friction: 0.5,
-        contact: Contact::Separable,
-        flow_rule: FlowRule::Associative,
-        shear_norm: ShearNorm::VonMises,
-        mesh_m,
-        time_step_s: 2.3e-4 * mesh_m / 0.05,
-        limited_above: LIMITED_ABOVE,
-        precision,
-        memory_limit_bytes: 8 << 30,
-    })
-}
+#[path = "group_2.rs"]
+mod group_2;
 
 fn main() -> Result<(), Box<dyn Error>> {
     // cargo itself adds `--bench`
@@ -56,7 +24,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let number = |name, default: &'static str| text(name, default).parse::<f64>();
     let precision = if text("precision", "f32") == "f64" { Precision::F64 } else { Precision::F32 };
     let regime = text("regime", "cold_dense");
-    let setup = setup(regime, number("scale", "1")?, number("mesh", "0.05")?, precision)?;
+    let snow = group_2::REGIMES.iter().find(|(name, _)| *name == regime).ok_or("no such regime")?.1;
+    let setup = Setup { precision, ..group_2::setup(snow, number("scale", "1")?, number("mesh", "0.05")?)? };
     let (from, steps) = (number("from", "0")?, number("steps", "1000")?);
     let threads = number("threads", "1")? as usize;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;

@@ -1,96 +1,128 @@
-//! scratch
-#![expect(clippy::print_stdout, reason = "reports on the terminal")]
+//! The four regimes on Group II of Li et al. (2020) at any mesh: energies, the fastest grain, and what the limiter of affine
+//! motion changes. A table in Markdown:
+//!
+//!     cargo run --release -p firn-science --example runout_verification -- --mesh 0.05 [--end 12] [--regime cold_dense]
+#![expect(clippy::print_stdout, reason = "a report for the terminal or a file")]
+
+use std::{collections::HashMap, error::Error, time::Instant};
+
 use firn_science::progress::Unobserved;
-use firn_science::runout::*;
 use firn_science::runout::{
-    material::{FlowRule, ShearNorm, Snow},
-    release::Slab,
-    terrain::Terrain,
+    Advance, LIMITED_ABOVE, RunoutError, Setup, Simulation,
+    snapshot::{Energies, Snapshot},
 };
-use std::error::Error;
-fn main() -> Result<(), Box<dyn Error>> {
-    let a: Vec<String> = std::env::args().collect();
-    let snow = match a[1].as_str() {
-        "cold_dense" => Snow::li_2020(0.5, 0.0, 1.0, 3e3),
-        "warm_shear" => Snow::li_2020(1.5, 0.3, 1.0, 30e3),
-        "sliding_slab" => Snow::li_2020(1.5, 0.5, 1.0, 42e3),
-        _ => Snow::li_2020(0.5, 1.0, 0.1, 12e3),
-    };
-    let mesh_m: f64 = a[2].parse()?;
-    let end: f64 = a[3].parse()?;
-    let limited: f64 = a[4].parse()?;
-    let norm = if a.len() > 5 && a[5] == "plane" { ShearNorm::Plane } else { ShearNorm::VonMises };
-    let precision = if a.len() > 6 && a[6] == "f64" { Precision::F64 } else { Precision::F32 };
-    let terrain = Terrain::slope_arc_flat(40.0, 10.0, -80.0, 260.0)?;
-    let angle = 40_f64.to_radians();
-    let height = 65.0 * angle.tan() - 9.0 / angle.cos() + 10.0;
-    let release = Slab::centred(&terrain, [-65.0, height], 12.0, 2.0);
-    let setup = Setup {
-        terrain,
-        release,
-        snow,
-        bed_friction: 0.5,
-        contact: Contact::Separable,
-        flow_rule: FlowRule::Associative,
-        shear_norm: norm,
-        mesh_m,
-        time_step_s: 2.3e-4 * mesh_m / 0.05 * std::env::var("DTF").map_or(1.0, |d| d.parse().unwrap_or(1.0)),
-        limited_above: limited,
-        precision,
-        memory_limit_bytes: 8 << 30,
-    };
-    let mut s = Simulation::new(&setup)?;
-    let e0 = s.energies();
-    let mut k = 0;
-    let (mut vmax99, mut vcom, mut vmean) = (0.0f64, 0.0f64, 0.0f64);
-    let mut last = f64::NAN;
-    let mut top = 0.0f64;
-    let mut com0 = 0.0;
-    while s.time_s() < end {
-        k += 1;
-        let r = s.step_until(f64::from(k) / 24.0, &Unobserved)?;
-        let f = s.snapshot();
-        let n = f.x_m.len() as f64;
-        let mut x = f.x_m.clone();
-        x.sort_by(f32::total_cmp);
-        let front = f64::from(x[(0.99 * n) as usize]);
-        let com = f.x_m.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
-        let v = f.vx_m_s.iter().zip(&f.vz_m_s).map(|(a, b)| f64::from(a.hypot(*b)));
-        let vm = v.clone().fold(0.0, f64::max);
-        top = top.max(vm);
-        let cx = f.vx_m_s.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
-        let cz = f.vz_m_s.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
-        vcom = vcom.max(cx.hypot(cz));
-        vmean = vmean.max(v.clone().sum::<f64>() / n);
-        let mut sp: Vec<f64> = v.collect();
-        sp.sort_by(f64::total_cmp);
-        let v99 = sp[(0.99 * n) as usize];
-        vmax99 = vmax99.max(v99);
-        last = front; com0 = com;
-        if k % 24 == 0 || r != Advance::Reached {
-            let e = s.energies();
-            let sum = e.kinetic + e.affine + e.potential + e.elastic + e.bed + e.plastic + e.transfer;
-            let sum0 = e0.kinetic + e0.affine + e0.potential + e0.elastic;
-            let rel = e0.potential - e.potential;
-            let broken = f.plastic_strain.iter().filter(|&&p| p > 0.0).count() as f64 / n;
-            println!(
-                "t {:.2} front {front:.2} com {com:.3} vmax {vm:.2} v99 {v99:.2} vcom {:.2} ke {:.3} aff {:.4} el {:.4} bed {:.3} pl {:.4} tr {:.4} closure {:.5} broken {broken:.2}",
-                s.time_s(),
-                cx.hypot(cz),
-                e.kinetic / rel,
-                e.affine / rel,
-                e.elastic / rel,
-                e.bed / rel,
-                e.plastic / rel,
-                e.transfer / rel,
-                (sum - sum0) / rel
-            );
+
+#[path = "group_2.rs"]
+mod group_2;
+
+/// When the limiter's effect on the flow is looked at, s.
+const COMPARED_S: f64 = 5.0;
+
+fn mean(values: &[f32]) -> f64 {
+    values.iter().map(|&value| f64::from(value)).sum::<f64>() / values.len() as f64
+}
+
+/// Position along the track below which 99 % of the mass lies, m.
+fn front(snapshot: &Snapshot) -> f64 {
+    let mut x = snapshot.x_m.clone();
+    x.sort_by(f32::total_cmp);
+    f64::from(x[(0.99 * x.len() as f64) as usize])
+}
+
+fn fastest(snapshot: &Snapshot) -> f64 {
+    std::iter::zip(&snapshot.vx_m_s, &snapshot.vz_m_s).map(|(x, z)| f64::from(x.hypot(*z))).fold(0.0, f64::max)
+}
+
+fn total(e: &Energies) -> f64 {
+    e.kinetic + e.affine + e.potential + e.elastic + e.bed + e.plastic + e.transfer
+}
+
+/// What a run shows.
+#[derive(Default)]
+struct Seen {
+    /// Centre of mass and front at 5 s and at the end, m.
+    at_5: [f64; 2],
+    at_end: [f64; 2],
+    /// The fastest grain of any frame, m/s.
+    fastest: f64,
+    /// Largest rise of the energy sum, and what is unexplained at the end, over the released energy.
+    rise: f64,
+    closure: f64,
+    /// Kinetic, bed, plastic and transfer at the end over the released energy.
+    shares: [f64; 4],
+    steps: u64,
+    particles: usize,
+    seconds: f64,
+}
+
+fn run(setup: &Setup, end_s: f64) -> Result<Seen, RunoutError> {
+    let start = Instant::now();
+    let mut simulation = Simulation::new(setup)?;
+    let first = simulation.energies();
+    let (mut seen, mut lowest, mut rise, mut frame) = (Seen::default(), total(&first), 0.0_f64, 0);
+    while simulation.time_s() < end_s {
+        frame += 1;
+        let advance = simulation.step_until(f64::from(frame) / 24.0, &Unobserved)?;
+        let (snapshot, energies) = (simulation.snapshot(), simulation.energies());
+        seen.fastest = seen.fastest.max(fastest(&snapshot));
+        lowest = lowest.min(total(&energies));
+        rise = rise.max(total(&energies) - lowest);
+        seen.at_end = [mean(&snapshot.x_m), front(&snapshot)];
+        if f64::from(frame) / 24.0 <= COMPARED_S {
+            seen.at_5 = seen.at_end;
         }
-        if r != Advance::Reached {
-            println!("{r:?}");
+        if advance != Advance::Reached {
             break;
         }
     }
-    println!("END v99max {vmax99:.2} vcom max {vcom:.2} mean {vmean:.2} com {com0:.2} front {last:.2} top {top:.2}");
+    let last = simulation.energies();
+    let released = first.potential - last.potential;
+    seen.rise = rise / released;
+    seen.closure = (total(&last) - total(&first)) / released;
+    seen.shares = [last.kinetic + last.affine, last.bed, last.plastic, last.transfer].map(|energy| energy / released);
+    (seen.steps, seen.particles) = (simulation.steps(), simulation.particles());
+    seen.seconds = start.elapsed().as_secs_f64();
+    Ok(seen)
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let options: HashMap<&str, &str> =
+        words.chunks_exact(2).map(|pair| (pair[0].trim_start_matches('-'), pair[1].as_str())).collect();
+    let mesh: f64 = options.get("mesh").unwrap_or(&"0.1").parse()?;
+    let end: f64 = options.get("end").unwrap_or(&"12").parse()?;
+    let limit: f64 = options.get("limit").map_or(Ok(LIMITED_ABOVE), |limit| limit.parse())?;
+    let (top, start) = (group_2::top_m(), [-65.0, -65.0 + 6.0 * 40_f64.to_radians().cos()]);
+    let free = (2.0 * 9.81 * top).sqrt();
+    println!("Mesh {mesh} m, f32, {end} s, limiter above a plastic strain of {limit}; free fall from the block's top {free:.2} m/s.\n");
+    println!("| regime | centre, front at 5 s (m) | of plain APIC (share of the way) | centre, front at the end (m) | fastest grain (m/s) | over free fall | closure | largest rise | kinetic, bed, plastic, transfer | particle-steps/s |");
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    for (name, snow) in group_2::REGIMES {
+        if options.get("regime").is_some_and(|only| *only != name) {
+            continue;
+        }
+        let setup = Setup { limited_above: limit, ..group_2::setup(snow, 1.0, mesh)? };
+        let plain = run(&Setup { limited_above: f64::INFINITY, ..setup.clone() }, COMPARED_S)?;
+        let seen = run(&setup, end)?;
+        let change: Vec<String> =
+            (0..2).map(|i| format!("{:+.3} %", 100.0 * (seen.at_5[i] - plain.at_5[i]) / (plain.at_5[i] - start[i]))).collect();
+        println!(
+            "| {name} | {:.2}, {:.2} | {} | {:.2}, {:.2} | {:.2} | {:.3} | {:+.3} % | {:.3} % | {:.3}, {:.3}, {:.3}, {:.3} | {:.2e} |",
+            seen.at_5[0],
+            seen.at_5[1],
+            change.join(", "),
+            seen.at_end[0],
+            seen.at_end[1],
+            seen.fastest,
+            seen.fastest / free,
+            100.0 * seen.closure,
+            100.0 * seen.rise,
+            seen.shares[0],
+            seen.shares[1],
+            seen.shares[2],
+            seen.shares[3],
+            seen.steps as f64 * seen.particles as f64 / seen.seconds,
+        );
+    }
     Ok(())
 }

@@ -12,7 +12,7 @@ use super::{
     transfer::{ChunkGrid, Motion, Step, weights},
 };
 
-/// Every so many steps the losses of the transfer and at the bed are measured, for all steps up to the next measurement.
+/// Every so many steps the losses of the transfer and at the bed are measured; between, they are taken to change linearly.
 pub(super) const AUDIT_STEPS: u64 = 16;
 
 /// Physical and numerical constants of a run.
@@ -62,11 +62,31 @@ pub(super) struct ChunkParticles<T> {
 /// Energies in particle masses times (cells a step)^2, summed over the steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Ledger {
-    pub(super) bed: f64,
     pub(super) plastic: f64,
-    pub(super) transfer: f64,
+    /// Lost at the bed and by the transfer up to the step of the last measurement.
+    pub(super) measured: [f64; 2],
+    /// The same in that step.
+    pub(super) rate: [f64; 2],
     /// Kinetic energy of the grid now.
     pub(super) grid: f64,
+}
+
+impl Ledger {
+    /// Lost at the bed and by the transfer up to now.
+    pub(super) fn lost(&self, steps: u64) -> [f64; 2] {
+        let since = steps - steps.saturating_sub(1) / AUDIT_STEPS * AUDIT_STEPS;
+        std::array::from_fn(|i| self.measured[i] + since as f64 * self.rate[i])
+    }
+
+    /// Takes the losses of a step that was measured.
+    fn measure(&mut self, rate: [f64; 2], steps: u64) {
+        if steps > 0 {
+            for ((measured, before), now) in self.measured.iter_mut().zip(self.rate).zip(rate) {
+                *measured += AUDIT_STEPS as f64 * 0.5 * (before + now);
+            }
+        }
+        self.rate = rate;
+    }
 }
 
 /// Why a run cannot go on.
@@ -184,9 +204,12 @@ impl<T: Real> Engine<T> {
             return Err(Halt::Diverged);
         }
         self.drift += self.fastest;
-        let transferred = self.steps.is_multiple_of(AUDIT_STEPS).then(|| self.audit());
+        let measured = self.steps.is_multiple_of(AUDIT_STEPS).then(|| self.audit());
         self.move_particles(keep);
-        let reduced = self.reduce(transferred.as_deref());
+        let reduced = self.reduce(measured.as_ref().map(|(transferred, _)| transferred.as_slice()));
+        if let Some((_, transfer)) = measured {
+            self.ledger.measure([reduced.bed, transfer], self.steps);
+        }
         self.steps += 1;
         self.settle(reduced)
     }
@@ -195,7 +218,6 @@ impl<T: Real> Engine<T> {
     fn settle(&mut self, reduced: Reduced) -> Result<(), Halt> {
         self.fastest = reduced.fastest;
         self.ledger.grid = reduced.kinetic;
-        self.ledger.bed += AUDIT_STEPS as f64 * reduced.bed;
         for grid in &self.grids {
             self.ledger.plastic += grid.plastic / 4.0;
         }
@@ -227,16 +249,15 @@ impl<T: Real> Engine<T> {
         });
     }
 
-    /// Measures what the coming transfer will lose; returns the velocities that it alone gives to the nodes.
-    fn audit(&mut self) -> Vec<[T; 4]> {
+    /// The velocities that the coming transfer alone gives to the nodes, and the energy that it loses.
+    fn audit(&mut self) -> (Vec<[T; 4]>, f64) {
         let mut grids = std::mem::take(&mut self.grids);
         let step = self.step_input();
         self.chunks.par_iter().zip(&mut grids).for_each(|(chunk, grid)| T::audit(&step, &chunk.blocks, grid));
         self.grids = grids;
         let mut velocity = vec![[T::of(0.0); 4]; self.velocity.len()];
         let transferred = self.reduce_into(&mut velocity, Stage::Transferred);
-        self.ledger.transfer += AUDIT_STEPS as f64 * (self.ledger.grid - transferred.kinetic);
-        velocity
+        (velocity, self.ledger.grid - transferred.kinetic)
     }
 
     /// Velocities of all nodes from what the chunks gave, after the forces; `transferred` are those before.

@@ -99,12 +99,8 @@ pub(super) fn energies<T: Real>(engine: &Engine<T>) -> Energies {
     let frame = &engine.frame;
     let mass = frame.density_kg_m3 * frame.particle_area_m2;
     let unit = mass * (frame.mesh_m / frame.time_step_s).powi(2);
-    let mut out = Energies {
-        bed: unit * engine.ledger.bed,
-        plastic: unit * engine.ledger.plastic,
-        transfer: unit * engine.ledger.transfer,
-        ..Energies::default()
-    };
+    let [bed, transfer] = engine.ledger.lost(engine.steps).map(|lost| unit * lost);
+    let mut out = Energies { bed, plastic: unit * engine.ledger.plastic, transfer, ..Energies::default() };
     for (block, motion) in in_motion(engine) {
         for k in 0..block.len {
             let square = |values: &[T]| values.iter().map(|value| value.f64() * value.f64()).sum::<f64>();
@@ -131,11 +127,13 @@ pub(super) fn dump<T: Real>(engine: &Engine<T>) -> Dump {
         })
         .collect();
     let speed = |state: &ParticleState| state.velocity_m_s[0].hypot(state.velocity_m_s[1]);
-    let is_finite = |state: &ParticleState| {
-        let numbers = [state.x_m, state.z_m, speed(state), state.plastic_strain, state.strength_pa];
+    // what a particle is itself comes before its velocity: that of a broken one spreads to its neighbours
+    let is_whole = |state: &ParticleState| {
+        let numbers = [state.x_m, state.z_m, state.plastic_strain, state.strength_pa];
         numbers.iter().chain(&state.elastic).all(|number| number.is_finite())
     };
-    let broken = all.iter().find(|(state, _)| !is_finite(state));
+    let broken = all.iter().find(|(state, _)| !is_whole(state));
+    let broken = broken.or_else(|| all.iter().find(|(state, _)| !speed(state).is_finite()));
     let fastest = || all.iter().max_by(|a, b| speed(&a.0).total_cmp(&speed(&b.0)));
     let nothing = ParticleState {
         id: 0,
