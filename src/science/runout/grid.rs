@@ -265,13 +265,14 @@ fn reduce_nodes<T: Real>(input: &Reduction<'_, T>, velocity: &mut [[T; 4]]) -> R
     let columns = layout.chunks[chunk].columns.map(|column| column as usize);
     let (from, to) = (layout.start[columns[0]] as usize, layout.start[columns[1]] as usize);
     velocity.fill([T::of(0.0); 4]);
-    for neighbour in chunk.saturating_sub(1)..(chunk + 2).min(grids.len()) {
-        let [first, end] = layout.chunks[neighbour].nodes.map(|node| node as usize);
+    let beside = chunk.saturating_sub(1)..(chunk + 2).min(grids.len());
+    for (grid, place) in grids[beside.clone()].iter().zip(&layout.chunks[beside]) {
+        let [first, end] = place.nodes.map(|node| node as usize);
         let (low, high) = (first.max(from), end.min(to));
         if low >= high {
             continue;
         }
-        let given = &grids[neighbour].nodes[low - first..high - first];
+        let given = &grid.nodes[low - first..high - first];
         for (sum, given) in velocity[low - from..high - from].iter_mut().zip(given) {
             *sum = [sum[0] + given[0], sum[1] + given[1], sum[2] + given[2], T::of(0.0)];
         }
