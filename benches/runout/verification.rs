@@ -94,8 +94,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let limit: f64 = options.get("limit").map_or(Ok(LIMITED_ABOVE), |limit| limit.parse())?;
     let (top, start) = (group_2::top_m(), [-65.0, -65.0 + 6.0 * 40_f64.to_radians().cos()]);
     let free = (2.0 * 9.81 * top).sqrt();
-    println!("Mesh {mesh} m, f32, {end} s, limiter above a plastic strain of {limit}; free fall from the block's top {free:.2} m/s.\n");
-    println!("| regime | centre, front at 5 s (m) | of plain APIC (share of the way) | centre, front at the end (m) | fastest grain (m/s) | over free fall | closure | largest rise | kinetic, bed, plastic, transfer | particle-steps/s |");
+    println!(
+        "Mesh {mesh} m, f32, {end} s, limiter above a plastic strain of {limit}; free fall from the block's top {free:.2} m/s.\n"
+    );
+    println!(
+        "| regime | centre, front at 5 s (m) | of plain APIC (share of the way) | centre, front at the end (m) | fastest grain (m/s) | over free fall | closure | largest rise | kinetic, bed, plastic, transfer | particle-steps/s |"
+    );
     println!("|---|---|---|---|---|---|---|---|---|---|");
     for (name, snow) in group_2::REGIMES {
         if options.get("regime").is_some_and(|only| *only != name) {
@@ -104,8 +108,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         let setup = Setup { limited_above: limit, ..group_2::setup(snow, 1.0, mesh)? };
         let plain = run(&Setup { limited_above: f64::INFINITY, ..setup.clone() }, COMPARED_S)?;
         let seen = run(&setup, end)?;
-        let change: Vec<String> =
-            (0..2).map(|i| format!("{:+.3} %", 100.0 * (seen.at_5[i] - plain.at_5[i]) / (plain.at_5[i] - start[i]))).collect();
+        let change: Vec<String> = (0..2)
+            .map(|i| format!("{:+.3} %", 100.0 * (seen.at_5[i] - plain.at_5[i]) / (plain.at_5[i] - start[i])))
+            .collect();
         println!(
             "| {name} | {:.2}, {:.2} | {} | {:.2}, {:.2} | {:.2} | {:.3} | {:+.3} % | {:.3} % | {:.3}, {:.3}, {:.3}, {:.3} | {:.2e} |",
             seen.at_5[0],

@@ -124,9 +124,8 @@ fn a_block_falls_freely() {
 fn a_spinning_disc_gains_no_energy_and_keeps_it() {
     // one turn a second, for 20 s: the body is stretched by its spin and turns as one
     let omega = std::f64::consts::TAU;
-    let released = filled([0.5, 0.5], |[x, z]| {
-        (x.hypot(z) < 0.5).then_some(([-omega * z, omega * x], [0.0, -omega, omega, 0.0]))
-    });
+    let released =
+        filled([0.5, 0.5], |[x, z]| (x.hypot(z) < 0.5).then_some(([-omega * z, omega * x], [0.0, -omega, omega, 0.0])));
     let mut engine = Engine::<f64>::new(void(&strong(), 0.0), &released).unwrap();
     let total = |engine: &Engine<f64>| {
         let e = energies(engine);

@@ -132,12 +132,12 @@ impl<T: Real> Engine<T> {
     /// Particles at the nodes of the grid, at time 0.
     pub(super) fn new(frame: Frame<T>, released: &[Released]) -> Result<Self, Halt> {
         let strength = frame.material.strength(T::of(frame.plastic_strain_at_release));
-        let particles: Vec<Particle<T>> = released.iter().enumerate()
+        let particles: Vec<Particle<T>> = released
+            .iter()
+            .enumerate()
             .map(|(id, released)| {
-                let place = [
-                    (released.position_m[0] - frame.origin_m) / frame.mesh_m,
-                    released.position_m[1] / frame.mesh_m,
-                ];
+                let place =
+                    [(released.position_m[0] - frame.origin_m) / frame.mesh_m, released.position_m[1] / frame.mesh_m];
                 let node = place.map(f64::round);
                 Particle {
                     id: id as u32,

@@ -324,7 +324,8 @@ fn damaged_and_foreign_states_are_refused() {
     let mut simulation = Simulation::new(&setup).unwrap();
     simulation.step_until(0.1, &Unobserved).unwrap();
     let saved = simulation.checkpoint(&setup);
-    let refused = |setup: &Setup, state: &[u8]| matches!(Simulation::resume(setup, state), Err(RunoutError::Checkpoint(_)));
+    let refused =
+        |setup: &Setup, state: &[u8]| matches!(Simulation::resume(setup, state), Err(RunoutError::Checkpoint(_)));
     assert!(refused(&setup, &[]));
     assert!(refused(&setup, &saved[..saved.len() / 2]));
     assert!(refused(&Setup { bed_friction: 0.4, ..setup.clone() }, &saved));

@@ -243,8 +243,7 @@ fn tally<T: Real>(mass: &[T], velocity: &[[T; 4]]) -> (f64, T) {
         let larger = if ax > az { ax } else { az };
         fastest[lane] = if larger > fastest[lane] { larger } else { fastest[lane] };
     };
-    let ((masses, mass_rest), (velocities, velocity_rest)) =
-        (mass.as_chunks::<LANES>(), velocity.as_chunks::<LANES>());
+    let ((masses, mass_rest), (velocities, velocity_rest)) = (mass.as_chunks::<LANES>(), velocity.as_chunks::<LANES>());
     for (m, v) in masses.iter().zip(velocities) {
         for lane in 0..LANES {
             add(lane, m[lane], v[lane]);
@@ -266,13 +265,14 @@ fn reduce_nodes<T: Real>(input: &Reduction<'_, T>, velocity: &mut [[T; 4]]) -> R
     let columns = layout.chunks[chunk].columns.map(|column| column as usize);
     let (from, to) = (layout.start[columns[0]] as usize, layout.start[columns[1]] as usize);
     velocity.fill([T::of(0.0); 4]);
-    for neighbour in chunk.saturating_sub(1)..(chunk + 2).min(grids.len()) {
-        let [first, end] = layout.chunks[neighbour].nodes.map(|node| node as usize);
+    let near = chunk.saturating_sub(1)..(chunk + 2).min(grids.len());
+    for (span, grid) in layout.chunks[near.clone()].iter().zip(&grids[near]) {
+        let [first, end] = span.nodes.map(|node| node as usize);
         let (low, high) = (first.max(from), end.min(to));
         if low >= high {
             continue;
         }
-        let given = &grids[neighbour].nodes[low - first..high - first];
+        let given = &grid.nodes[low - first..high - first];
         for (sum, given) in velocity[low - from..high - from].iter_mut().zip(given) {
             *sum = [sum[0] + given[0], sum[1] + given[1], sum[2] + given[2], T::of(0.0)];
         }
@@ -298,12 +298,7 @@ fn reduce_nodes<T: Real>(input: &Reduction<'_, T>, velocity: &mut [[T; 4]]) -> R
 /// Lets the nodes inside of the bed meet it; returns the energy that is lost where the velocities `before` all forces are
 /// known.
 #[inline(always)]
-fn contact<T: Real>(
-    input: &Reduction<'_, T>,
-    velocity: &mut [[T; 4]],
-    mass: &[T],
-    before: Option<&[[T; 4]]>,
-) -> f64 {
+fn contact<T: Real>(input: &Reduction<'_, T>, velocity: &mut [[T; 4]], mass: &[T], before: Option<&[[T; 4]]>) -> f64 {
     let Reduction { layout, chunk, .. } = *input;
     let columns = layout.chunks[chunk].columns.map(|column| column as usize);
     let from = layout.start[columns[0]] as usize;
@@ -353,7 +348,10 @@ fn meet<T: Real>(v: [T; 2], bed: &BedColumn<T>, friction: T, sticky: bool) -> [T
 macro_rules! dispatched {
     ($t:ty, $reduce:ident) => {
         /// [`reduce_nodes`] at the widest instructions of this machine.
-        #[multiversion(targets("x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2", "x86_64+avx2+bmi1+bmi2"))]
+        #[multiversion(targets(
+            "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2",
+            "x86_64+avx2+bmi1+bmi2"
+        ))]
         pub(super) fn $reduce(input: &Reduction<'_, $t>, velocity: &mut [[$t; 4]]) -> Reduced {
             reduce_nodes(input, velocity)
         }

@@ -136,9 +136,19 @@ impl Snow {
         check("hardening", hardening, (1e-3..=1e3).contains(&hardening), "from 0.001 to 1000")?;
         let modulus = self.youngs_modulus_pa;
         check("youngs_modulus_pa", modulus, (1e3..=1e11).contains(&modulus), "from 1e3 to 1e11")?;
-        check("poisson_ratio", self.poisson_ratio, (0.0..0.5).contains(&self.poisson_ratio), "at least 0 and below 0.5")?;
+        check(
+            "poisson_ratio",
+            self.poisson_ratio,
+            (0.0..0.5).contains(&self.poisson_ratio),
+            "at least 0 and below 0.5",
+        )?;
         check("density_kg_m3", self.density_kg_m3, (1.0..=1000.0).contains(&self.density_kg_m3), "from 1 to 1000")?;
-        check("strength_pa", strength_pa, strength_pa > 0.0 && strength_pa <= modulus, "above 0 and at most Young's modulus")
+        check(
+            "strength_pa",
+            strength_pa,
+            strength_pa > 0.0 && strength_pa <= modulus,
+            "above 0 and at most Young's modulus",
+        )
     }
 }
 

@@ -32,14 +32,14 @@ pub use error::{Dump, ParticleState, RunoutError};
 pub use simulation::{Advance, Contact, GRAVITY_M_S2, LIMITED_ABOVE, Precision, Setup, Simulation};
 
 #[cfg(test)]
-mod plan_tests;
-#[cfg(test)]
-mod run_tests;
-#[cfg(test)]
 mod dynamics_tests;
 #[cfg(test)]
 mod flow_tests;
 #[cfg(test)]
 mod material_tests;
+#[cfg(test)]
+mod plan_tests;
+#[cfg(test)]
+mod run_tests;
 #[cfg(test)]
 mod terrain_tests;

@@ -187,8 +187,7 @@ fn gather<T: Real>(step: &Step<'_, T>, place: &Place<T>, scratch: &mut Scratch<T
             lost += 1;
             continue;
         };
-        let columns =
-            (three(step.velocity, bases[0]), three(step.velocity, bases[1]), three(step.velocity, bases[2]));
+        let columns = (three(step.velocity, bases[0]), three(step.velocity, bases[1]), three(step.velocity, bases[2]));
         let (Some(left), Some(middle), Some(right)) = columns else {
             lost += 1;
             continue;
@@ -336,7 +335,8 @@ fn plastic_return<T: Real>(
     for k in 0..GROUP {
         let out = yielding[k] > zero;
         let q = shear[k] * deviatoric[k];
-        let (first, second) = ((two * (volume[k] * T::of(0.5) + q)).exp_m1(), (two * (volume[k] * T::of(0.5) - q)).exp_m1());
+        let (first, second) =
+            ((two * (volume[k] * T::of(0.5) + q)).exp_m1(), (two * (volume[k] * T::of(0.5) - q)).exp_m1());
         let (mean, radius) = (T::of(0.5) * (first + second), T::of(0.5) * (first - second));
         let i = at + k;
         let select = |new: T, old: T| if out { new } else { old };
@@ -535,7 +535,10 @@ fn extremes<T: Real>(step: &Step<'_, T>, place: &Place<T>, k: usize, scratch: &m
 macro_rules! dispatched {
     ($t:ty, $step:ident, $audit:ident) => {
         /// [`step`] at the widest instructions of this machine.
-        #[multiversion(targets("x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2", "x86_64+avx2+bmi1+bmi2"))]
+        #[multiversion(targets(
+            "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2",
+            "x86_64+avx2+bmi1+bmi2"
+        ))]
         pub(super) fn $step(
             input: &Step<'_, $t>,
             blocks: &mut [Block<$t>],
@@ -546,7 +549,10 @@ macro_rules! dispatched {
         }
 
         /// [`audit`] at the widest instructions of this machine.
-        #[multiversion(targets("x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2", "x86_64+avx2+bmi1+bmi2"))]
+        #[multiversion(targets(
+            "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2",
+            "x86_64+avx2+bmi1+bmi2"
+        ))]
         pub(super) fn $audit(input: &Audit<'_, $t>, blocks: &[Block<$t>], grid: &mut ChunkGrid<$t>) {
             audit(input, blocks, grid);
         }
