@@ -265,9 +265,9 @@ fn reduce_nodes<T: Real>(input: &Reduction<'_, T>, velocity: &mut [[T; 4]]) -> R
     let columns = layout.chunks[chunk].columns.map(|column| column as usize);
     let (from, to) = (layout.start[columns[0]] as usize, layout.start[columns[1]] as usize);
     velocity.fill([T::of(0.0); 4]);
-    let beside = chunk.saturating_sub(1)..(chunk + 2).min(grids.len());
-    for (grid, place) in grids[beside.clone()].iter().zip(&layout.chunks[beside]) {
-        let [first, end] = place.nodes.map(|node| node as usize);
+    let near = chunk.saturating_sub(1)..(chunk + 2).min(grids.len());
+    for (span, grid) in layout.chunks[near.clone()].iter().zip(&grids[near]) {
+        let [first, end] = span.nodes.map(|node| node as usize);
         let (low, high) = (first.max(from), end.min(to));
         if low >= high {
             continue;

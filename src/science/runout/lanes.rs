@@ -196,10 +196,10 @@ macro_rules! real {
 // Taylor series from the last term on: atanh(s)/s = 1 + z/3 + z^2/5 ..., (exp(r) - 1 - r)/r^2 = 1/2 + r/6 + ... with
 // |r| <= ln 2 / 2; ln 2 in two parts, of which the first times a small integer is exact (Cody & Waite 1980)
 real!(
-    f32, f32x4, i32, 23, 127, 12_582_912.0, 5,
+    f32, f32x4, i32, 23, 127, 12_582_912.0, 4,
     atanh [1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0],
     exp [1.0 / 5_040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5],
-    ln_2 (f32::from_bits(0x3f31_8000), -2.121_944_4e-4),
+    ln_2 (355.0 / 512.0, -2.121_944_4e-4),
     step_f32, audit_f32, reduce_f32
 );
 real!(

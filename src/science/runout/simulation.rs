@@ -22,7 +22,7 @@ use crate::progress::Progress;
 pub const GRAVITY_M_S2: f64 = 9.81;
 
 /// The usual value of [`Setup::limited_above`]: so far dilated, a particle is a lone grain.
-pub const LIMITED_ABOVE: f64 = 1.0;
+pub const LIMITED_ABOVE: f64 = 0.5;
 
 /// Particle-steps between two looks at whether the run is still wanted: some 0.1 s on the slowest machines.
 const BETWEEN_LOOKS: u64 = 500_000;

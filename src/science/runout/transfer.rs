@@ -271,7 +271,12 @@ fn trial<T: Real>(material: &Material<T>, block: &mut Block<T>, scratch: &mut Sc
 #[inline(always)]
 fn deform<T: Real>(material: &Material<T>, block: &mut Block<T>, scratch: &mut Scratch<T>) -> f64 {
     trial(material, block, scratch);
-    (0..BLOCK / GROUP).map(|group| plastic_return(material, block, scratch, group)).sum()
+    let mut work = 0.0;
+    // no iterator: what is not inlined is not compiled for the wide registers
+    for group in 0..BLOCK / GROUP {
+        work += plastic_return(material, block, scratch, group);
+    }
+    work
 }
 
 /// The Kirchhoff stresses (xx, zz, xz) of a block after a deformation, and the plastic work, as a step computes them.
