@@ -1,0 +1,23 @@
+//! Acoustic emission (AE) of dislocation avalanches: what catalogues of hits and events say.
+//!
+//! Terms follow ASTM E1316 and EN 1330-9: a *hit* is the burst at one sensor, an *event* is one source.
+
+pub mod comparison;
+pub mod error;
+pub mod goodness;
+mod numerics;
+pub mod sample;
+#[cfg(test)]
+mod samples;
+pub mod special;
+pub mod tails;
+pub mod xmin;
+
+pub use error::EmissionError;
+
+/// Fails unless `a` and `b` differ by at most `tolerance`.
+#[cfg(test)]
+#[track_caller]
+fn close(a: f64, b: f64, tolerance: f64) {
+    assert!((a - b).abs() <= tolerance, "{a} and {b} differ by {:e}, allowed {tolerance:e}", (a - b).abs());
+}
