@@ -161,7 +161,7 @@ fn replicate_logs(body: &[f64], n_tail: usize, start: f64, b: f64, rng: &mut Cha
 }
 
 /// A tail of the same length and bounds.
-fn replicate_tail(tail: &Tail, draw: &Draw, rng: &mut ChaCha8Rng) -> Tail {
+pub(super) fn replicate_tail(tail: &Tail, draw: &Draw, rng: &mut ChaCha8Rng) -> Tail {
     let value = |rng: &mut ChaCha8Rng| {
         let u = draw.draw(rng);
         tail.width.map_or(u, |width| (u / width).floor() * width)

@@ -2,15 +2,25 @@
 //!
 //! Terms follow ASTM E1316 and EN 1330-9: a *hit* is the burst at one sensor, an *event* is one source.
 
+pub mod activity;
+pub mod aftershocks;
+pub mod catalogue;
 pub mod comparison;
+pub mod correlation;
+pub mod duration;
 pub mod error;
 pub mod goodness;
+pub mod maps;
 mod numerics;
+mod pairs;
 pub mod sample;
 #[cfg(test)]
 mod samples;
 pub mod special;
+pub mod synthetic;
 pub mod tails;
+pub mod validation;
+pub mod waiting;
 pub mod xmin;
 
 pub use error::EmissionError;

@@ -222,7 +222,12 @@ fn stretched_exponential(tail: &Tail) -> Result<Fitted, EmissionError> {
         Some([_, se]) => Parameter::normal("stretching", beta, se),
         None => Parameter::bare("stretching", beta),
     };
-    let parameters = vec![beta_parameter, Parameter::bare("rate", lambda(k, beta))];
+    // at the lower bound of beta it is a power law, whose rate is infinite
+    let rate = lambda(k, beta);
+    let mut parameters = vec![beta_parameter];
+    if rate.is_finite() {
+        parameters.push(Parameter::bare("rate", rate));
+    }
     let distribution = Distribution::stretched(k, beta, tail.upper());
     Ok(fitted(tail, Model::StretchedExponential, distribution, parameters))
 }
