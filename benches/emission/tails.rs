@@ -51,9 +51,7 @@ fn fits(values: &[f64]) -> Outcome<()> {
         let seconds = start.elapsed().as_secs_f64();
         let parameters: Vec<f64> = names.iter().filter_map(|name| fitted.parameter(name)).map(|p| p.value).collect();
         let (name, loglik) = (model.name(), fitted.loglik);
-        println!(
-            r#"{{"task": "fit {name}", "seconds": {seconds}, "result": {parameters:?}, "loglik": {loglik}}}"#
-        );
+        println!(r#"{{"task": "fit {name}", "seconds": {seconds}, "result": {parameters:?}, "loglik": {loglik}}}"#);
     }
     Ok(())
 }

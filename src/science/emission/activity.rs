@@ -109,8 +109,11 @@ pub fn activity(
 /// The power-law process (Crow 1974): m = n / sum ln((end - start)/(x_i - start)) over all but the last event, standard error
 /// m/sqrt n. An event at the very start says nothing about m.
 fn exponent(events: &[(f64, f64)], start: f64, end: f64) -> (f64, f64) {
-    let logs: Vec<f64> =
-        events.iter().filter(|event| event.0 > start && event.0 < end).map(|e| ((end - start) / (e.0 - start)).ln()).collect();
+    let logs: Vec<f64> = events
+        .iter()
+        .filter(|event| event.0 > start && event.0 < end)
+        .map(|e| ((end - start) / (e.0 - start)).ln())
+        .collect();
     let n = logs.len() as f64;
     let m = n / logs.iter().sum::<f64>();
     (m, m / n.sqrt())
@@ -136,7 +139,9 @@ pub fn change_point(position: &[f64], start: f64) -> Option<(f64, f64)> {
     // the gain is not unimodal: the best of the events, then between its neighbours
     let inner = sorted.iter().copied().filter(|x| (start + margin..end - margin).contains(x));
     let best = inner.max_by(|a, b| gain(*a).total_cmp(&gain(*b)))?;
-    Some(maximum(gain, best - margin / 10.0, best + margin / 10.0)).filter(|found| found.1 >= gain(best)).or(Some((best, gain(best))))
+    Some(maximum(gain, best - margin / 10.0, best + margin / 10.0))
+        .filter(|found| found.1 >= gain(best))
+        .or(Some((best, gain(best))))
 }
 
 #[cfg(test)]

@@ -70,7 +70,7 @@ pub struct AftershockClass {
     pub main_shocks: usize,
     /// Rates.
     pub rate: Vec<RatePoint>,
-    /// Mean number of events in the window beyond the mean rate of the catalogue, a main shock.
+    /// Aftershocks a main shock: the share of Omori's law in the events of the window; 0 where nothing decays.
     pub productivity: f64,
     /// Its standard error.
     pub productivity_se: f64,
@@ -124,12 +124,11 @@ pub fn aftershocks(
             classes[class - 1].push(followed);
         }
     }
-    let rate = n as f64 / length;
     let classes: Vec<AftershockClass> = classes
         .iter()
         .enumerate()
         .filter(|(_, followed)| !followed.is_empty())
-        .map(|(k, followed)| class(edges[k], edges.get(k + 1).copied(), followed, window, rate, options.bins))
+        .map(|(k, followed)| class(edges[k], edges.get(k + 1).copied(), followed, window, options.bins))
         .collect();
     Ok(Aftershocks { window_s: window, productivity_exponent: productivity_exponent(&classes), classes })
 }
@@ -188,34 +187,28 @@ fn main_shocks(times: &[f64], amplitudes: &[f64], window: f64) -> Vec<(usize, Fo
     found
 }
 
-fn class(
-    from_v: f64,
-    to_v: Option<f64>,
-    followed: &[Followed],
-    window: f64,
-    background: f64,
-    bins: usize,
-) -> AftershockClass {
+fn class(from_v: f64, to_v: Option<f64>, followed: &[Followed], window: f64, bins: usize) -> AftershockClass {
     let edges = log_spaced(window * 1e-4, window, bins + 1);
     let rate = edges.windows(2).filter_map(|edge| {
         let (from_s, to_s) = (edge[0], edge[1]);
-        let events: usize = followed.iter().map(|f| f.delays.iter().filter(|d| (from_s..to_s).contains(*d)).count()).sum();
+        let events: usize =
+            followed.iter().map(|f| f.delays.iter().filter(|d| (from_s..to_s).contains(*d)).count()).sum();
         let exposure: f64 = followed.iter().map(|f| (f.span.min(to_s) - from_s).max(0.0)).sum();
         let rate = events as f64 / exposure;
         let error_per_s = (events as f64).sqrt() / exposure;
         (exposure > 0.0).then_some(RatePoint { from_s, to_s, events, rate_per_s: rate, error_per_s })
     });
     let events: usize = followed.iter().map(|f| f.delays.len()).sum();
-    let exposure: f64 = followed.iter().map(|f| f.span).sum();
     let shocks = followed.len() as f64;
+    let omori = omori(followed);
     AftershockClass {
         from_v,
         to_v,
         main_shocks: followed.len(),
         rate: rate.collect(),
-        productivity: (events as f64 - background * exposure) / shocks,
+        productivity: omori.map_or(0.0, |fit| fit.aftershock_share) * events as f64 / shocks,
         productivity_se: (events as f64).sqrt() / shocks,
-        omori: omori(followed),
+        omori,
     }
 }
 
@@ -274,7 +267,11 @@ fn best_share(ratio: &[f64]) -> (f64, f64) {
             slope += d;
             curve -= d * d;
         }
-        if slope > 0.0 { low = share } else { high = share }
+        if slope > 0.0 {
+            low = share
+        } else {
+            high = share
+        }
         let next = share - slope / curve;
         let next = if next > low && next < high { next } else { 0.5 * (low + high) };
         if (next - share).abs() < 1e-12 {
@@ -312,9 +309,8 @@ mod tests {
         let share = 1.0 - (1.0 + window / c).powf(1.0 - p);
         let followed: Vec<Followed> = (0..400)
             .map(|_| {
-                let mut delays: Vec<f64> = (0..10)
-                    .map(|_| c * ((1.0 - share * rng.random::<f64>()).powf(-1.0 / (p - 1.0)) - 1.0))
-                    .collect();
+                let mut delays: Vec<f64> =
+                    (0..10).map(|_| c * ((1.0 - share * rng.random::<f64>()).powf(-1.0 / (p - 1.0)) - 1.0)).collect();
                 delays.extend((0..6).map(|_| window * rng.random::<f64>()));
                 Followed { delays, span: window }
             })
@@ -342,7 +338,7 @@ mod tests {
         let found = aftershocks(times, &amplitudes, &options).unwrap();
         let classes: Vec<&AftershockClass> = found.classes.iter().filter(|c| c.main_shocks > 20).collect();
         assert!(classes.len() >= 3);
-        assert!(classes.windows(2).all(|pair| pair[1].productivity > pair[0].productivity), "{classes:?}");
+        assert!(classes.windows(2).all(|pair| pair[1].productivity > pair[0].productivity));
         // aftershocks of aftershocks flatten the exponent of 0.5 a little
         close(found.productivity_exponent.unwrap(), 0.5, 0.2);
         let rate = &classes[2].rate;

@@ -235,7 +235,11 @@ pub fn b_values(magnitudes: &[f64], bin: f64, completeness: Option<f64>) -> Resu
 
 /// `ln(1 + bin/excess) / (bin ln 10)`, Aki's formula for bins of no width.
 fn binned_b(excess: f64, bin: f64) -> f64 {
-    if bin == 0.0 { std::f64::consts::LOG10_E / excess } else { (bin / excess).ln_1p() / (bin * std::f64::consts::LN_10) }
+    if bin == 0.0 {
+        std::f64::consts::LOG10_E / excess
+    } else {
+        (bin / excess).ln_1p() / (bin * std::f64::consts::LN_10)
+    }
 }
 
 /// Standard error of a geometric rate, over `bin ln 10`: `2 sinh(y/2) / y` times b over sqrt n, y = b bin ln 10.

@@ -4,6 +4,8 @@
 
 pub mod activity;
 pub mod aftershocks;
+pub mod analysis;
+pub mod calibration;
 pub mod catalogue;
 pub mod comparison;
 pub mod correlation;
@@ -16,6 +18,8 @@ mod pairs;
 pub mod sample;
 #[cfg(test)]
 mod samples;
+pub mod sets;
+pub mod source;
 pub mod special;
 pub mod synthetic;
 pub mod tails;

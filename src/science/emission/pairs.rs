@@ -75,10 +75,13 @@ impl PairCounter {
         // the order of whole-number sums does not matter
         let bins = (0..tasks).into_par_iter().map(one).try_reduce(|| vec![0; self.squares.len()], add)?;
         let mut sum = 0;
-        Ok(bins[..bins.len() - 1].iter().map(|count| {
-            sum += count;
-            sum
-        }).collect())
+        Ok(bins[..bins.len() - 1]
+            .iter()
+            .map(|count| {
+                sum += count;
+                sum
+            })
+            .collect())
     }
 
     /// Adds the pairs of point `i` with those after it.

@@ -96,9 +96,9 @@ fn recovery(fits: &[Fitted], name: &str, truth: f64) -> Option<Recovery> {
     let errors: Vec<f64> = found.iter().filter_map(|parameter| parameter.se).collect();
     // an interval that is open on one side is one; an estimate without any is none
     let intervals: Vec<_> = found.iter().filter(|p| p.lower95.is_some() || p.upper95.is_some()).collect();
-    let holds = intervals.iter().filter(|p| {
-        p.lower95.is_none_or(|lower| lower <= truth) && p.upper95.is_none_or(|upper| truth <= upper)
-    });
+    let holds = intervals
+        .iter()
+        .filter(|p| p.lower95.is_none_or(|lower| lower <= truth) && p.upper95.is_none_or(|upper| truth <= upper));
     let coverage = holds.count() as f64 / intervals.len() as f64;
     let centre = mean(&values);
     Some(Recovery {

@@ -14,7 +14,8 @@ use super::sample::Sample;
 use super::tails::{DecibelLevels, Rounding};
 
 pub use metadata::{Metadata, Phase, Sensor, StressProtocol};
-pub use quality::{FlagKind, QualityFlag, decibel_step, quality};
+pub(super) use quality::too_few;
+pub use quality::{FEW_EVENTS, FlagKind, QualityFlag, decibel_step, quality};
 
 /// A canonical column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

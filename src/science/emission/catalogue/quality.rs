@@ -52,7 +52,8 @@ pub fn quality(catalogue: &Catalogue) -> Vec<QualityFlag> {
         let unit = if amplitude == Some(Column::AmplitudeV) { "V" } else { "dB" };
         let counts = Counts::of(values);
         if let Some((value, events)) = counts.pile(false) {
-            let message = format!("{events} events at the lowest amplitude, {value} {unit}: they piled up at the floor");
+            let message =
+                format!("{events} events at the lowest amplitude, {value} {unit}: they piled up at the floor");
             flags.push(QualityFlag { kind: FlagKind::FloorPileUp, events, value: Some(value), message });
         }
         if let Some((value, events)) = counts.pile(true) {

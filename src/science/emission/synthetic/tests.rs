@@ -13,7 +13,8 @@ fn the_same_seed_gives_the_same_bits() {
 #[test]
 fn amplitudes_have_the_exponent_that_is_recorded() {
     for (grain_size_mm, temperature_c) in [(None, -3.0), (None, -20.0), (Some(0.26), -10.0), (Some(5.02), -10.0)] {
-        let options = SyntheticOptions { events: 20_000, grain_size_mm, temperature_c, clip_v: 1e9, ..Default::default() };
+        let options =
+            SyntheticOptions { events: 20_000, grain_size_mm, temperature_c, clip_v: 1e9, ..Default::default() };
         let (catalogue, truth) = synthetic(&options, 3).unwrap();
         let sample = crate::emission::sample::Sample::exact(catalogue.amplitudes_v("x").unwrap(), "x").unwrap();
         let tail = sample.tail(None, None).unwrap();
@@ -34,7 +35,8 @@ fn durations_follow_the_damping_and_the_orderings() {
         let (catalogue, truth) = synthetic(options, 5).unwrap();
         let amplitudes = catalogue.amplitudes_v("x").unwrap();
         let durations = catalogue.column(Column::DurationUs).unwrap();
-        let chosen: Vec<f64> = amplitudes.iter().zip(durations).filter(|(a, _)| (from..to).contains(*a)).map(|p| *p.1).collect();
+        let chosen: Vec<f64> =
+            amplitudes.iter().zip(durations).filter(|(a, _)| (from..to).contains(*a)).map(|p| *p.1).collect();
         let expected = (0.5 * (from + to) / truth.threshold_v).ln() / truth.damping_per_s * 1e6;
         (mean(&chosen), expected)
     };
@@ -75,7 +77,10 @@ fn nonsense_is_refused_by_name() {
         (SyntheticOptions { temperature_c: f64::NAN, ..base.clone() }, "temperature_c"),
         (SyntheticOptions { db_step: Some(0.0), ..base.clone() }, "db_step"),
         (
-            SyntheticOptions { clustering: Some(Clustering { branching_ratio: 1.0, c_s: 1.0, p: 1.2 }), ..base.clone() },
+            SyntheticOptions {
+                clustering: Some(Clustering { branching_ratio: 1.0, c_s: 1.0, p: 1.2 }),
+                ..base.clone()
+            },
             "branching_ratio",
         ),
     ] {

@@ -106,7 +106,7 @@ impl Tail {
     }
 
     /// Upper bound of u, infinite where there is none.
-    pub(super) fn upper(&self) -> f64 {
+    pub(in crate::emission) fn upper(&self) -> f64 {
         self.xmax.map_or(f64::INFINITY, |xmax| (xmax / self.xmin).ln())
     }
 

@@ -183,7 +183,7 @@ const RULE_4: [(f64, f64); 4] = [
 
 /// The distribution function at equal steps of u, between which a cubic with the right slopes interpolates.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Table {
+pub(in crate::emission) struct Table {
     from: f64,
     step: f64,
     /// Distribution function and density times the step at each knot.
@@ -234,7 +234,7 @@ const TANGENTS: usize = 48;
 /// Draws exactly from a [`Tilted`] density: rejection below tangents to its concave exponent (Gilks & Wild 1992, Appl.
 /// Statist. 41, 337-348, without the adaptation).
 #[derive(Clone, Debug)]
-pub(super) struct Sampler {
+pub(in crate::emission) struct Sampler {
     tilted: Tilted,
     pieces: Vec<Piece>,
 }
