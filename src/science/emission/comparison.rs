@@ -63,11 +63,11 @@ pub struct ModelSummary {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Choice {
-    /// Chosen model: the one with the lowest BIC.
+    /// Chosen model: the simplest of those within 2 of the lowest BIC.
     pub model: Model,
-    /// The next one, if more than one model could be fitted.
+    /// The one with the lowest BIC of the others, if more than one model could be fitted.
     pub runner_up: Option<Model>,
-    /// BIC of the next one less that of the chosen one: above 10 is very strong (Kass & Raftery 1995).
+    /// BIC of the runner-up less that of the chosen one: above 10 is very strong evidence; below 0 where the simpler model was kept.
     pub bic_margin: Option<f64>,
     /// The same in words.
     pub reason: String,
@@ -125,26 +125,40 @@ impl Comparison {
         self.fits.iter().map(summary).collect()
     }
 
-    /// The model with the lowest BIC.
+    /// Of the models within 2 of the lowest BIC (what is beyond is positive evidence; Kass & Raftery 1995, J. Am. Stat. Assoc. 90,
+    /// 773-795) the one with the fewest parameters.
     #[must_use]
     pub fn choice(&self) -> Option<Choice> {
-        let mut order: Vec<&Fitted> = self.fits.iter().collect();
-        order.sort_by(|a, b| a.bic().total_cmp(&b.bic()));
-        let (best, next) = (order.first()?, order.get(1));
+        const POSITIVE: f64 = 2.0;
+        let lowest = self.fits.iter().map(Fitted::bic).fold(f64::INFINITY, f64::min);
+        let key = |fit: &Fitted| (fit.bic() > lowest + POSITIVE, fit.free_parameters());
+        let best = self.fits.iter().min_by(|a, b| {
+            let by_bic = a.bic().total_cmp(&b.bic());
+            let (a, b) = (key(a), key(b));
+            // beyond the margin only BIC counts
+            if a.0 && b.0 { by_bic } else { a.cmp(&b).then(by_bic) }
+        })?;
+        let others = self.fits.iter().filter(|fit| fit.model != best.model);
+        let next = others.min_by(|a, b| a.bic().total_cmp(&b.bic()));
         let margin = next.map(|next| next.bic() - best.bic());
         let strength = match margin {
             Some(margin) if margin > 10.0 => "very strong evidence",
             Some(margin) if margin > 6.0 => "strong evidence",
-            Some(margin) if margin > 2.0 => "positive evidence",
+            Some(margin) if margin > POSITIVE => "positive evidence",
             _ => "hardly any evidence",
         };
+        let name = best.model.name();
         let reason = match (next, margin) {
+            (Some(next), Some(margin)) if margin >= 0.0 => {
+                let other = next.model.name();
+                format!("{name} has the lowest BIC, {margin:.1} below {other}: {strength} (Kass & Raftery 1995)")
+            }
             (Some(next), Some(margin)) => format!(
-                "{} has the lowest BIC, {margin:.1} below {}: {strength} (Kass & Raftery 1995)",
-                best.model.name(),
-                next.model.name()
+                "{name} has fewer parameters than {}, whose BIC is only {:.1} lower: {strength} (Kass & Raftery 1995)",
+                next.model.name(),
+                -margin
             ),
-            _ => format!("{} is the only model that could be fitted", best.model.name()),
+            _ => format!("{name} is the only model that could be fitted"),
         };
         Some(Choice { model: best.model, runner_up: next.map(|next| next.model), bic_margin: margin, reason })
     }

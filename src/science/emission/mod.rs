@@ -1,6 +1,14 @@
 //! Acoustic emission (AE) of dislocation avalanches: what catalogues of hits and events say.
 //!
 //! Terms follow ASTM E1316 and EN 1330-9: a *hit* is the burst at one sensor, an *event* is one source.
+//!
+//! Data flow: waveforms -> [`hits`] -> events and positions ([`location`]) -> [`catalogue`] with its quality flags -> [`analysis`], which
+//! runs the twelve analyses as a list of requests. [`synthetic`] makes catalogues with known truth.
+//!
+//! The distributions: [`tails`] (models and maximum likelihood) on a [`sample`], [`xmin`] (where the tail begins), [`goodness`],
+//! [`comparison`] (which model), [`validation`] (bias and coverage), [`maps`] (how the exponent depends on the range). In time:
+//! [`waiting`], [`aftershocks`], [`activity`]. In space: [`correlation`]. Of single events: [`duration`], [`source`],
+//! [`calibration`]. Several data sets: [`sets`].
 
 pub mod activity;
 pub mod aftershocks;
@@ -12,6 +20,8 @@ pub mod correlation;
 pub mod duration;
 pub mod error;
 pub mod goodness;
+pub mod hits;
+pub mod location;
 pub mod maps;
 mod numerics;
 mod pairs;

@@ -90,7 +90,7 @@ pub struct DistributionResult {
     pub parameters: Vec<Parameter>,
     /// All models on the same tail.
     pub models: Vec<ModelSummary>,
-    /// The model with the lowest BIC, and why; it is the fitted one where the model was left open.
+    /// The model that the data speak for, and why; it is the fitted one where the model was left open.
     pub choice: Option<Choice>,
     /// Log-binned density of the whole sample.
     pub density: Vec<DensityPoint>,

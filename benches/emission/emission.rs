@@ -5,6 +5,7 @@ use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
 
+use firn_science::emission::correlation::{CorrelationOptions, correlation_integral};
 use firn_science::emission::goodness::{Question, p_value};
 use firn_science::emission::sample::Sample;
 use firn_science::emission::tails::{KsConvention, Model, Tail, fit};
@@ -14,7 +15,7 @@ use firn_science::progress::Unobserved;
 type Outcome<T> = Result<T, Box<dyn Error>>;
 
 fn main() -> Outcome<()> {
-    let folder = std::env::args().nth(1).ok_or("usage: tails FOLDER")?;
+    let folder = std::env::args().nth(1).ok_or("usage: emission FOLDER")?;
     let folder = Path::new(&folder);
     for name in ["pareto_100k", "body_5k", "cutoff_10k"] {
         let values = read(&folder.join(format!("{name}.txt")))?;
@@ -27,7 +28,8 @@ fn main() -> Outcome<()> {
         );
     }
     fits(&read(&folder.join("cutoff_10k.txt"))?)?;
-    goodness(read(&folder.join("body_5k.txt"))?)
+    goodness(read(&folder.join("body_5k.txt"))?)?;
+    correlation(&folder.join("points_50k.txt"))
 }
 
 fn read(path: &Path) -> Outcome<Vec<f64>> {
@@ -66,5 +68,20 @@ fn goodness(values: Vec<f64>) -> Outcome<()> {
     let answer = p_value(&question, 2500, 1, &Unobserved)?;
     let seconds = start.elapsed().as_secs_f64();
     println!(r#"{{"task": "p, 2500 replicates", "seconds": {seconds}, "result": [{}]}}"#, answer.p_value);
+    Ok(())
+}
+
+/// One null, so that what is timed is the pairs of the points and little else.
+fn correlation(path: &Path) -> Outcome<()> {
+    let numbers = std::fs::read_to_string(path)?;
+    let numbers = numbers.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>()?;
+    let points: Vec<[f64; 3]> = numbers.as_chunks::<3>().0.to_vec();
+    let options = CorrelationOptions { r_min_m: Some(1e-3), r_max_m: Some(1.8), nulls: 1, ..Default::default() };
+    let start = Instant::now();
+    let found = correlation_integral(&points, None, None, &options, 1, &Unobserved)?;
+    let seconds = start.elapsed().as_secs_f64();
+    let pairs: Vec<u64> = found.points.iter().map(|point| point.pairs).collect();
+    let radii: Vec<f64> = found.points.iter().map(|point| point.r_m).collect();
+    println!(r#"{{"task": "C(r), 40 radii", "seconds": {seconds}, "result": {pairs:?}, "radii": {radii:?}}}"#);
     Ok(())
 }
