@@ -234,7 +234,7 @@ mod tests {
         (0..4)
             .flat_map(|number| {
                 distances.into_iter().enumerate().map(move |(k, distance_m)| {
-                    let sign = if (k as u32 + number) % 2 == 0 { 1.0 } else { -1.0 };
+                    let sign = if (k as u32 + number).is_multiple_of(2) { 1.0 } else { -1.0 };
                     LeadBreak {
                         number,
                         distance_m,

@@ -264,7 +264,7 @@ impl<'a> Problem<'a> {
             normal[(r, c)] / (normal[(r, r)] * normal[(c, c)]).sqrt()
         });
         let eigenvalues = scale.symmetric_eigenvalues();
-        if !(eigenvalues.min() > 1e-10) {
+        if eigenvalues.min() <= 1e-10 {
             return None;
         }
         let variance = match self.options.arrival_error_s {

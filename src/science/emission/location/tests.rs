@@ -70,8 +70,8 @@ fn exact_arrivals_give_back_the_source() {
                 continue;
             }
             let found = locate(&sensors, &arrivals, &given).unwrap();
-            for k in 0..dimensions {
-                close(found.position_m[k], source[k], 1e-7);
+            for (found, source) in found.position_m.iter().zip(source).take(dimensions) {
+                close(*found, source, 1e-7);
             }
             close(found.origin_s, 12.5, 1e-9);
             close(found.speed_m_per_s, 3650.0, 1e-2);
