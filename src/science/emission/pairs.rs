@@ -1,7 +1,7 @@
 //! Counting pairs of points by their distance: all pairs, which below 1e5 points beats a tree.
 //!
-//! A table over the leading bits of the squared distance says how many radii are below; one comparison decides the cells that
-//! hold a radius, so that the counts are exact.
+//! A table over the leading bits of the squared distance says how many radii are below; only in the few cells that hold a radius
+//! the squared distance itself is compared, so that the counts are exact.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -11,34 +11,42 @@ use rayon::prelude::*;
 use super::error::EmissionError;
 use crate::progress::Progress;
 
-/// Leading bits of a squared distance that address the table: the exponent and 11 bits below.
-const SHIFT: u32 = 52 - 11;
+/// Bits of the upper half of a squared distance that do not address the table: the exponent and 8 bits below it do.
+const SHIFT: u32 = 20 - 8;
 /// Points that are compared with one point at once.
 const BLOCK: usize = 512;
-/// Points of one task.
+/// Points of one task: a counter of 32 bits does not overflow below 6e7 points.
 const TASK: usize = 64;
 /// Sets of counters, so that equal neighbours do not wait for each other.
 const LANES: usize = 4;
+/// Entry of a cell that holds a radius.
+const HOLDS_A_RADIUS: u8 = u8::MAX;
 
 /// Counts pairs of at most each of some radii.
 pub(super) struct PairCounter {
-    /// Squared radii, rising, and an infinite one.
+    /// Squared radii, rising.
     squares: Vec<f64>,
-    first_cell: u64,
-    last_cell: u64,
-    /// Number of squares below the beginning of each cell.
+    first_cell: u32,
+    last_cell: u32,
+    /// Number of squares below each cell, or [`HOLDS_A_RADIUS`].
     below: Vec<u8>,
 }
 
+/// Counters of a task by the number of radii below a distance.
+type Bins = [[u32; 256]; LANES];
+
 impl PairCounter {
-    /// For up to 254 rising radii, neighbours of which differ by more than 0.1 %.
+    /// For up to 254 rising radii.
     pub(super) fn new(radii: &[f64]) -> Self {
-        let mut squares: Vec<f64> = radii.iter().map(|r| r * r).collect();
-        let first_cell = (squares[0].to_bits() >> SHIFT).saturating_sub(1);
-        let last_cell = (squares[squares.len() - 1].to_bits() >> SHIFT) + 1;
-        let below = (first_cell..=last_cell).map(|cell| squares.partition_point(|s| s.to_bits() < cell << SHIFT) as u8);
-        let below = below.collect();
-        squares.push(f64::INFINITY);
+        let squares: Vec<f64> = radii.iter().map(|r| r * r).collect();
+        let first_cell = cell(squares[0]).saturating_sub(1);
+        let last_cell = cell(squares[squares.len() - 1]) + 1;
+        let entry = |number: u32| {
+            let below = squares.partition_point(|&square| cell(square) < number);
+            let holds = squares.get(below).is_some_and(|&square| cell(square) == number);
+            if holds { HOLDS_A_RADIUS } else { below as u8 }
+        };
+        let below = (first_cell..=last_cell).map(entry).collect();
         Self { squares, first_cell, last_cell, below }
     }
 
@@ -58,7 +66,7 @@ impl PairCounter {
             if progress.cancelled() {
                 return Err(EmissionError::Cancelled);
             }
-            let mut bins = vec![[0_u64; LANES]; self.squares.len()];
+            let mut bins: Bins = [[0; 256]; LANES];
             for i in task * TASK..((task + 1) * TASK).min(n) {
                 self.count_after(&axes, i, &mut bins);
             }
@@ -66,7 +74,8 @@ impl PairCounter {
             if count.is_multiple_of(32) {
                 progress.report(count as f64 / tasks as f64, phase);
             }
-            Ok(bins.iter().map(|lanes| lanes.iter().sum()).collect())
+            let total = |bin: usize| bins.iter().map(|lane| u64::from(lane[bin])).sum();
+            Ok((0..self.squares.len()).map(total).collect())
         };
         let add = |mut a: Vec<u64>, b: Vec<u64>| {
             a.iter_mut().zip(&b).for_each(|(a, b)| *a += b);
@@ -75,8 +84,8 @@ impl PairCounter {
         // the order of whole-number sums does not matter
         let bins = (0..tasks).into_par_iter().map(one).try_reduce(|| vec![0; self.squares.len()], add)?;
         let mut sum = 0;
-        Ok(bins[..bins.len() - 1]
-            .iter()
+        Ok(bins
+            .into_iter()
             .map(|count| {
                 sum += count;
                 sum
@@ -85,30 +94,46 @@ impl PairCounter {
     }
 
     /// Adds the pairs of point `i` with those after it.
-    fn count_after(&self, axes: &[Vec<f64>; 3], i: usize, bins: &mut [[u64; LANES]]) {
-        let mut squares = [0.0; BLOCK];
+    fn count_after(&self, axes: &[Vec<f64>; 3], i: usize, bins: &mut Bins) {
+        let (mut squares, mut cells) = ([0.0; BLOCK], [0; BLOCK]);
+        let at = [axes[0][i], axes[1][i], axes[2][i]];
         let n = axes[0].len();
         let mut from = i + 1;
         while from < n {
             let to = (from + BLOCK).min(n);
-            let at = [axes[0][i], axes[1][i], axes[2][i]];
-            let block = &mut squares[..to - from];
-            squared_distances(at, &axes[0][from..to], &axes[1][from..to], &axes[2][from..to], block);
-            for (k, &square) in block.iter().enumerate() {
-                let cell = (square.to_bits() >> SHIFT).clamp(self.first_cell, self.last_cell) - self.first_cell;
-                let below = usize::from(self.below[cell as usize]);
-                let bin = below + usize::from(self.squares[below] < square);
-                bins[bin][k % LANES] += 1;
+            let (squares, cells) = (&mut squares[..to - from], &mut cells[..to - from]);
+            let others = [&axes[0][from..to], &axes[1][from..to], &axes[2][from..to]];
+            squared_distances(at, others, squares);
+            table_cells(squares, self.first_cell, self.last_cell, cells);
+            for (k, (&cell, &square)) in cells.iter().zip(squares.iter()).enumerate() {
+                let mut bin = self.below[cell as usize];
+                if bin == HOLDS_A_RADIUS {
+                    bin = self.squares.partition_point(|&radius| radius < square) as u8;
+                }
+                bins[k % LANES][usize::from(bin)] += 1;
             }
             from = to;
         }
     }
 }
 
-#[multiversion(targets("x86_64+avx2", "x86_64+avx512f"))]
-fn squared_distances(at: [f64; 3], x: &[f64], y: &[f64], z: &[f64], squares: &mut [f64]) {
+/// The leading bits of a positive number.
+const fn cell(square: f64) -> u32 {
+    (square.to_bits() >> 32) as u32 >> SHIFT
+}
+
+#[multiversion(targets = "simd")]
+fn squared_distances(at: [f64; 3], [x, y, z]: [&[f64]; 3], squares: &mut [f64]) {
     for (((square, x), y), z) in squares.iter_mut().zip(x).zip(y).zip(z) {
         let (dx, dy, dz) = (x - at[0], y - at[1], z - at[2]);
         *square = dx * dx + dy * dy + dz * dz;
+    }
+}
+
+/// Cells of `squares` in the table, those beyond its ends in its first and last one.
+#[multiversion(targets = "simd")]
+fn table_cells(squares: &[f64], first: u32, last: u32, cells: &mut [u32]) {
+    for (target, &square) in cells.iter_mut().zip(squares) {
+        *target = cell(square).clamp(first, last) - first;
     }
 }

@@ -52,7 +52,7 @@ pub struct Difference {
     pub ci95: [f64; 2],
 }
 
-/// What [`compare`] finds.
+/// What a comparison of loading and unloading finds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct PhaseComparison {

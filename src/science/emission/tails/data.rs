@@ -84,6 +84,17 @@ impl Tail {
         if self.u.first() == self.u.last() {
             return Err(EmissionError::Degenerate { what: "the tail" });
         }
+        // far beyond what any recorder spans, exp(u) overflows and fits take minutes
+        const WIDEST: f64 = 80.0 * std::f64::consts::LN_10;
+        let span = self.u.last().copied().unwrap_or_default().max(self.xmax.map_or(0.0, |_| self.upper()));
+        if span > WIDEST {
+            let decades = span / std::f64::consts::LN_10;
+            return Err(EmissionError::option(
+                "span of the tail",
+                format!("{decades:.0} decades"),
+                "at most 80 decades",
+            ));
+        }
         Ok(self)
     }
 

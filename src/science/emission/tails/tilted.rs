@@ -128,7 +128,7 @@ impl Tilted {
         let (from, to) = self.support(lower, upper);
         let shift = self.exponent(self.mode(from, to));
         // a panel spans at most 2 in u, where exp(-c e^u) has a scale of 1, and about 6 in the exponent
-        let panels = ((to - from) / 2.0).ceil().clamp(8.0, 4096.0);
+        let panels = ((to - from) / 2.0).ceil().clamp(8.0, 256.0);
         let half = (to - from) / panels / 2.0;
         // statistics relative to a point inside, so that the covariance does not cancel
         let centre = self.mode(from, to);
