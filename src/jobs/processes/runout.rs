@@ -87,7 +87,6 @@ pub fn description() -> Description {
         inputs: schema::schema_of::<RunoutInputs>(),
         outputs: json!({
             "summary": {"title": "The run in a few numbers", "schema": {"type": "object"}},
-            "indicators": {"title": "What the parameters alone say of the flow", "schema": {"type": "object"}},
             "series": {"title": "Front, centre of mass, speeds, energies and shape at 24 frames a second", "schema": {"type": "object"}},
             "profiles": {"title": "Flow depth and velocity along the track and over the depth", "schema": {"type": "object"}},
             "frames": {"title": "Every particle at some frames a second; see /v1/jobs/{jobID}/frames", "schema": {"type": "object"}},
@@ -153,7 +152,6 @@ pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output,
     ];
     let results = json!({
         "summary": outcome.summary,
-        "indicators": plan.indicators,
         "inputs": plan.inputs,
         "limits": LIMITS,
         "provenance": {"version": payload.version, "input_hash": payload.input_hash, "seed": payload.inputs.seed},
