@@ -11,7 +11,7 @@ use crate::science::runout::scenario::{BED_FRICTION, MESH_M, ScenarioName, SnowI
 #[derive(Serialize, ToSchema)]
 pub struct ScenarioResource {
     /// What the input `scenario` of the process `runout` takes.
-    #[schema(inline)]
+    #[schema(value_type = String, example = "group-2")]
     id: ScenarioName,
     /// Slope angle, degrees.
     angle_deg: f64,

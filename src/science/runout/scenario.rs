@@ -212,7 +212,7 @@ pub struct BedInputs {
     #[cfg_attr(feature = "schema", schema(minimum = 0, maximum = 10, default = 0.5))]
     pub mu: f64,
     /// Whether snow may lift off: `separable`, or `sticky`.
-    #[cfg_attr(feature = "schema", schema(inline))]
+    #[cfg_attr(feature = "schema", schema(value_type = String, pattern = "^(separable|sticky)$", default = "separable"))]
     pub contact: Contact,
 }
 
@@ -293,15 +293,14 @@ pub struct RunoutInputs {
     pub snow: Option<SnowInputs>,
     /// The bed's friction.
     #[serde(default)]
-    #[cfg_attr(feature = "schema", schema(inline))]
     pub bed: BedInputs,
     /// Plastic flow rule: `associative`, or `nacc`.
     #[serde(default)]
-    #[cfg_attr(feature = "schema", schema(inline))]
+    #[cfg_attr(feature = "schema", schema(value_type = String, pattern = "^(associative|nacc)$", default = "associative"))]
     pub flow_rule: FlowRule,
     /// Numbers to compute in: `f32`, or `f64`.
     #[serde(default)]
-    #[cfg_attr(feature = "schema", schema(inline))]
+    #[cfg_attr(feature = "schema", schema(value_type = String, pattern = "^(f32|f64)$", default = "f32"))]
     pub precision: Precision,
     /// How fine the mesh is, in place of `mesh_m`.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -3,7 +3,7 @@
 //! The dual problem, written for signed variables `beta_i = y_i alpha_i` (`y_i` is +1 for an event and -1 otherwise):
 //! maximise `sum y_i beta_i - 1/2 beta' K beta` with `sum beta_i = 0`, `0 <= beta_i <= C+` for events and
 //! `-C- <= beta_i <= 0` for the others. [`solver`] solves it by sequential minimal optimisation (SMO) with the second-order
-//! working set of Fan, Chen & Lin (2005, J. Mach. Learn. Res. 6, 1889-1918), which is what LIBSVM does too; [`interior`]
+//! working set of Fan, Chen & Lin (2005, J. Mach. Learn. Res. 6, 1889-1918), which is what LIBSVM does too; `interior`
 //! solves it for a linear kernel, where SMO gets slow.
 //!
 //! Data flow: rows of standardised features -> [`gram::PairTable`] (once a feature set) -> [`gram::Gram`] (once a gamma) ->
