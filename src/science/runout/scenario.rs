@@ -293,6 +293,7 @@ pub struct RunoutInputs {
     pub snow: Option<SnowInputs>,
     /// The bed's friction.
     #[serde(default)]
+    #[cfg_attr(feature = "schema", schema(inline))]
     pub bed: BedInputs,
     /// Plastic flow rule: `associative`, or `nacc`.
     #[serde(default)]
