@@ -133,12 +133,12 @@ fn scaled_speed_falls_with_the_reach_angle_and_then_levels_off() {
 }
 
 #[test]
-#[ignore = "takes minutes: cargo test --release -p firn-science two_stages -- --ignored"]
+#[ignore = "does not hold yet (the plateau spreads 13 %) and takes minutes: cargo test --release -p firn-science two_stages -- --ignored"]
 fn two_stages_are_clear_at_mesh_0_1() {
     let (angle, speed) = two_stages(0.1);
     assert!(rank_correlation(&angle[..8], &speed[..8]) < -0.8, "{angle:?} {speed:?}");
     // seven of the eight lie within 3 %; M 1.5 with p0 12 kPa, whose pieces hit the arc at 22 m/s, is 13 % above the slowest
-    assert!(spread(&speed[8..]) < 0.15, "{speed:?}");
+    assert!(spread(&speed[8..]) < 0.1, "{speed:?}");
 }
 
 /// Is stopped after some offers to save the state, and keeps the last state.
