@@ -349,8 +349,8 @@ macro_rules! dispatched {
     ($t:ty, $reduce:ident) => {
         /// [`reduce_nodes`] at the widest instructions of this machine.
         #[multiversion(targets(
-            "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2",
-            "x86_64+avx2+bmi1+bmi2"
+            "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+fma+bmi1+bmi2",
+            "x86_64+avx2+fma+bmi1+bmi2"
         ))]
         pub(super) fn $reduce(input: &Reduction<'_, $t>, velocity: &mut [[$t; 4]]) -> Reduced {
             reduce_nodes(input, velocity)

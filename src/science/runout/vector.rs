@@ -1,7 +1,7 @@
 //! Four numbers of a node in a register: products and sums of the transfers, which compilers leave scalar.
 //!
 //! `wide` takes the 128-bit instructions that every x86-64 and every aarch64 has, and plain arrays elsewhere; what is compiled
-//! for wider registers encodes them anew. No multiplication is fused with an addition, so all give the same bits.
+//! for wider registers encodes them anew. What is fused is rounded once everywhere, so all give the same bits.
 
 use wide::{f32x4, f64x4};
 
@@ -13,6 +13,8 @@ pub(super) trait Vector<T>: Copy {
     fn add(self, other: Self) -> Self;
     fn sub(self, other: Self) -> Self;
     fn mul(self, other: Self) -> Self;
+    /// `self * by + plus`, rounded once.
+    fn mul_add(self, by: Self, plus: Self) -> Self;
     /// The smaller of each; the second where one is none.
     fn min(self, other: Self) -> Self;
     /// The larger of each; the second where one is none.
@@ -54,6 +56,18 @@ macro_rules! vector {
             #[inline(always)]
             fn mul(self, other: Self) -> Self {
                 self * other
+            }
+
+            #[inline(always)]
+            fn mul_add(self, by: Self, plus: Self) -> Self {
+                // that of `wide` is fused only where the whole program is compiled for it; compilers put this together
+                let (a, b, c) = (self.to_array(), by.to_array(), plus.to_array());
+                Self::new([
+                    a[0].mul_add(b[0], c[0]),
+                    a[1].mul_add(b[1], c[1]),
+                    a[2].mul_add(b[2], c[2]),
+                    a[3].mul_add(b[3], c[3]),
+                ])
             }
 
             #[inline(always)]
@@ -125,6 +139,11 @@ mod tests {
             self.each(other, |a, b| a * b)
         }
 
+        fn mul_add(self, by: Self, plus: Self) -> Self {
+            let fused = |i: usize| self.0[i].mul_add(by.0[i], plus.0[i]);
+            Self([fused(0), fused(1), fused(2), fused(3)])
+        }
+
         fn min(self, other: Self) -> Self {
             self.each(other, lanes::min)
         }
@@ -146,7 +165,17 @@ mod tests {
 
     fn results<T: Real, V: Vector<T>>(a: &[T; 4], b: &[T; 4]) -> Vec<[u64; 4]> {
         let (x, y) = (V::load(a), V::load(b));
-        let all = [x.add(y), x.sub(y), x.mul(y), x.min(y), x.max(y), x.flip_upper(), x.lower(), V::splat(a[1])];
+        let all = [
+            x.add(y),
+            x.sub(y),
+            x.mul(y),
+            x.min(y),
+            x.max(y),
+            x.flip_upper(),
+            x.lower(),
+            V::splat(a[1]),
+            x.mul_add(y, x),
+        ];
         let bits = |v: &V| {
             let mut out = [T::of(0.0); 4];
             v.store(&mut out);
