@@ -5,7 +5,8 @@
 //!
 //! `--scale` 1 is Group II of Li et al. (2020), Table 1; 2.5 and 4 are Groups IV and V. `--from` are seconds since release
 //! before the clock starts; the state then is read from the file, or left there for the next build to be timed on. The rate
-//! is that of all, of the best of ten parts, and, of one thread on Linux, that a second of processor time.
+//! is that of all, of the best of ten parts, and, of one thread on Linux, that a second of processor time. The centre of mass
+//! at the end shows whether two programs computed the same.
 #![expect(clippy::print_stdout, reason = "a bench reports on the terminal")]
 
 use std::{collections::HashMap, error::Error, time::Instant};
@@ -36,7 +37,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!(
         "{{\"code\":\"firn\",\"regime\":\"{regime}\",\"mesh_m\":{},\"precision\":\"{}\",\"threads\":{threads},\
          \"particles\":{},\"from_s\":{from},\"steps\":{},\"particle_steps_per_s\":{:.4e},\"best\":{:.4e},\
-         \"of_processor_time\":{:.4e}}}",
+         \"of_processor_time\":{:.4e},\"centre_m\":{:?}}}",
         setup.mesh_m,
         text("precision", "f32"),
         measured.particles,
@@ -44,6 +45,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         measured.rate,
         measured.best,
         measured.of_processor_time,
+        measured.centre_m,
     );
     Ok(())
 }
@@ -56,6 +58,8 @@ struct Measured {
     rate: f64,
     best: f64,
     of_processor_time: f64,
+    /// Centre of mass at the end, m.
+    centre_m: [f64; 2],
 }
 
 /// How long this thread has been running, s; no number where the system does not say.
@@ -95,5 +99,7 @@ fn measure(
     }
     let done = (simulation.steps() - first) as f64 * particles as f64;
     let (rate, of_processor_time) = (done / start.elapsed().as_secs_f64(), done / (processor_s() - running));
-    Ok(Measured { particles, steps: simulation.steps() - first, rate, best, of_processor_time })
+    let end = simulation.snapshot();
+    let centre_m = [end.x_m, end.z_m].map(|at| at.iter().map(|&at| f64::from(at)).sum::<f64>() / particles as f64);
+    Ok(Measured { particles, steps: simulation.steps() - first, rate, best, of_processor_time, centre_m })
 }

@@ -116,12 +116,12 @@ pub(super) fn min<T: Real>(a: T, b: T) -> T {
 
 macro_rules! real {
     (
-        $t:ident, $vector:ident, $signed:ident, $mantissa:literal, $bias:literal, $round:literal, $steps:literal,
+        $t:ident, $vector:ty, $signed:ident, $mantissa:literal, $bias:literal, $round:literal, $steps:literal,
         atanh $atanh:expr, cosh $cosh:expr, sinh $sinh:expr, exp $exp:expr, ln_2 ($high:expr, $low:expr),
         $step:ident, $audit:ident, $reduce:ident
     ) => {
         impl Real for $t {
-            type V = wide::$vector;
+            type V = $vector;
 
             const RETURN_STEPS: usize = $steps;
 
@@ -225,7 +225,7 @@ macro_rules! real {
 // Taylor series from the last term on: atanh(s)/s = 1 + z/3 + z^2/5 ..., (cosh(x) - 1)/z = 1/2 + z/24 + ...,
 // sinh(x)/x = 1 + z/6 + ..., (exp(r) - 1 - r)/r^2 = 1/2 + r/6 + ... with |r| <= ln 2 / 2; ln 2 in two parts, of which the first times a small integer is exact (Cody & Waite 1980)
 real!(
-    f32, f32x4, i32, 23, 127, 12_582_912.0, 2,
+    f32, wide::f32x4, i32, 23, 127, 12_582_912.0, 2,
     atanh [1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0],
     cosh [1.0 / 720.0, 1.0 / 24.0, 0.5],
     sinh [1.0 / 120.0, 1.0 / 6.0],
@@ -234,7 +234,7 @@ real!(
     step_f32, audit_f32, reduce_f32
 );
 real!(
-    f64, f64x4, i64, 52, 1023, 6_755_399_441_055_744.0, 4,
+    f64, super::vector::Four, i64, 52, 1023, 6_755_399_441_055_744.0, 4,
     atanh [
         1.0 / 21.0, 1.0 / 19.0, 1.0 / 17.0, 1.0 / 15.0, 1.0 / 13.0, 1.0 / 11.0, 1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0
     ],

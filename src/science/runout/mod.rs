@@ -25,6 +25,7 @@ pub mod run;
 pub mod scenario;
 mod simulation;
 pub mod snapshot;
+mod sort;
 mod stress;
 pub mod terrain;
 mod transfer;

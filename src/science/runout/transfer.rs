@@ -86,10 +86,6 @@ pub(super) type Audit<'a, T> = Step<'a, T>;
 #[repr(C, align(64))]
 struct Scratch<T> {
     motion: Motion<T>,
-    /// Velocity (x, z) and its moment along z (x, z): weighted sum, and above minus below.
-    sums: [[T; 4]; BLOCK],
-    /// Its moment along x: right minus left (x, z).
-    across: [[T; 4]; BLOCK],
     /// Weights of the three columns and the three rows.
     weight: [[T; BLOCK]; 6],
     extremes: Extremes<T>,
@@ -105,8 +101,6 @@ impl<T: Real> Scratch<T> {
         let fours = [[T::of(0.0); 4]; BLOCK];
         Self {
             motion: Motion::default(),
-            sums: fours,
-            across: fours,
             weight: [[T::of(0.0); BLOCK]; 6],
             extremes: Extremes::new(),
             stress: Stress::new(),
@@ -150,50 +144,63 @@ fn all_weights<T: Real>(place: &Place<T>, weight: &mut [[T; BLOCK]; 6]) {
     }
 }
 
-/// Sums over the nodes of every particle, from which velocities and gradients follow; returns how many had no nodes.
+/// Sums over the nodes of particle `k`: velocity (x, z) and its moment along z, above minus below; and that along x, right
+/// minus left.
+#[inline(always)]
+fn sums<T: Real>(step: &Step<'_, T>, place: &Place<T>, weight: &[[T; BLOCK]; 6], k: usize) -> Option<(T::V, T::V)> {
+    let [left, middle, right] = bases(step.offset, place.column[k], place.row[k], 0)?;
+    let (left, middle) = (run(step.velocity, left)?, run(step.velocity, middle)?);
+    let right = run(step.velocity, right)?;
+    let weight = |i: usize| T::V::splat(weight[i][k]);
+    // of a column: (sum, above minus below)
+    let rows = [weight(3).flip_upper(), weight(4).lower(), weight(5)];
+    let sum = |nodes: &[[T; 4]; 3]| {
+        let [below, level, above] = [T::V::load(&nodes[0]), T::V::load(&nodes[1]), T::V::load(&nodes[2])];
+        rows[2].mul_add(above, rows[1].mul_add(level, rows[0].mul(below)))
+    };
+    let (left, right) = (weight(0).mul(sum(left)), weight(2).mul(sum(right)));
+    Some((weight(1).mul_add(sum(middle), left.add(right)), right.sub(left)))
+}
+
+/// Velocities and gradients of the particles; returns how many had no nodes.
 #[inline(always)]
 fn gather<T: Real>(step: &Step<'_, T>, place: &Place<T>, scratch: &mut Scratch<T>) -> u32 {
     all_weights(place, &mut scratch.weight);
+    let Scratch { motion: Motion { vx, vz, lxx, lxz, lzx, lzz }, weight, .. } = scratch;
     let mut lost = 0;
+    for four in 0..BLOCK / 4 {
+        let mut of_particle = [(T::V::splat(T::of(0.0)), T::V::splat(T::of(0.0))); 4];
+        for i in 0..4 {
+            match sums(step, place, weight, 4 * four + i) {
+                Some(sums) => of_particle[i] = sums,
+                None => lost += 1,
+            }
+        }
+        let [(a, p), (b, q), (c, r), (d, s)] = of_particle;
+        let [x, z, above_x, above_z] = T::V::transpose([a, b, c, d]);
+        let [right_x, right_z, ..] = T::V::transpose([p, q, r, s]);
+        x.store(quarter(vx, four));
+        z.store(quarter(vz, four));
+        above_x.store(quarter(lxz, four));
+        above_z.store(quarter(lzz, four));
+        right_x.store(quarter(lxx, four));
+        right_z.store(quarter(lzx, four));
+    }
+    let four = T::of(4.0);
     for k in 0..BLOCK {
-        let Some(bases) = bases(step.offset, place.column[k], place.row[k], 0) else {
-            lost += 1;
-            continue;
-        };
-        let columns = (run(step.velocity, bases[0]), run(step.velocity, bases[1]), run(step.velocity, bases[2]));
-        let (Some(left), Some(middle), Some(right)) = columns else {
-            lost += 1;
-            continue;
-        };
-        let weight = |i: usize| T::V::splat(scratch.weight[i][k]);
-        // of a column: (sum, above minus below)
-        let rows = [weight(3).flip_upper(), weight(4).lower(), weight(5)];
-        let sum = |nodes: &[[T; 4]; 3]| {
-            let [below, level, above] = [T::V::load(&nodes[0]), T::V::load(&nodes[1]), T::V::load(&nodes[2])];
-            rows[2].mul_add(above, rows[1].mul_add(level, rows[0].mul(below)))
-        };
-        let (left, right) = (weight(0).mul(sum(left)), weight(2).mul(sum(right)));
-        weight(1).mul_add(sum(middle), left.add(right)).store(&mut scratch.sums[k]);
-        right.sub(left).store(&mut scratch.across[k]);
+        let (gx, gz) = (place.gx[k], place.gz[k]);
+        lxx[k] = four * (-gx).mul_add(vx[k], lxx[k]);
+        lzx[k] = four * (-gx).mul_add(vz[k], lzx[k]);
+        lxz[k] = four * (-gz).mul_add(vx[k], lxz[k]);
+        lzz[k] = four * (-gz).mul_add(vz[k], lzz[k]);
     }
     lost
 }
 
-/// Velocities and gradients from the sums.
+/// The four values from `4 * four` on.
 #[inline(always)]
-fn rates<T: Real>(place: &Place<T>, scratch: &mut Scratch<T>) {
-    let Scratch { motion, sums, across, .. } = scratch;
-    let four = T::of(4.0);
-    for k in 0..BLOCK {
-        let ([vx, vz, above_x, above_z], [right_x, right_z, ..]) = (sums[k], across[k]);
-        let (gx, gz) = (place.gx[k], place.gz[k]);
-        motion.vx[k] = vx;
-        motion.vz[k] = vz;
-        motion.lxx[k] = four * (-gx).mul_add(vx, right_x);
-        motion.lzx[k] = four * (-gx).mul_add(vz, right_z);
-        motion.lxz[k] = four * (-gz).mul_add(vx, above_x);
-        motion.lzz[k] = four * (-gz).mul_add(vz, above_z);
-    }
+fn quarter<T>(values: &mut [T; BLOCK], four: usize) -> &mut [T; 4] {
+    &mut values.as_chunks_mut().0[four]
 }
 
 /// Moves the particles with their velocities.
@@ -297,7 +304,6 @@ fn step<T: Real>(step: &Step<'_, T>, blocks: &mut [Block<T>], motion: &mut [Moti
     let mut keep = motion.iter_mut();
     for block in blocks {
         grid.lost += gather(step, &block.place, &mut scratch);
-        rates(&block.place, &mut scratch);
         if let Some(motion) = keep.next() {
             *motion = scratch.motion;
         }
@@ -318,7 +324,6 @@ fn audit<T: Real>(step: &Audit<'_, T>, blocks: &[Block<T>], grid: &mut ChunkGrid
     for block in blocks {
         let mut place = block.place;
         grid.lost += gather(step, &place, &mut scratch);
-        rates(&place, &mut scratch);
         limit(step, block, &mut scratch.motion, &mut scratch.extremes);
         advance(&scratch.motion, &mut place);
         prepare(&place, &mut scratch);
