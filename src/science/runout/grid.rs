@@ -274,26 +274,15 @@ pub(super) struct Reduced {
 fn reduce_nodes<T: Real>(input: &Reduction<'_, T>, velocity: &mut [[T; 4]]) -> Reduced {
     let Reduction { layout, chunk, grids, .. } = *input;
     let columns = layout.chunks[chunk].columns.map(|column| column as usize);
-    let (from, to) = (layout.start[columns[0]] as usize, layout.start[columns[1]] as usize);
-    // what the chunk itself gave covers all of its nodes
-    let first = layout.chunks[chunk].nodes[0] as usize;
-    velocity.copy_from_slice(&grids[chunk].nodes[from - first..to - first]);
-    for other in chunk.saturating_sub(1)..(chunk + 2).min(grids.len()) {
-        let [first, end] = layout.chunks[other].nodes.map(|node| node as usize);
-        let (low, high) = (first.max(from), end.min(to));
-        if other == chunk || low >= high {
-            continue;
-        }
-        let given = &grids[other].nodes[low - first..high - first];
-        for (sum, given) in velocity[low - from..high - from].iter_mut().zip(given) {
-            *sum = [sum[0] + given[0], sum[1] + given[1], sum[2] + given[2], T::of(0.0)];
-        }
-    }
+    let from = layout.start[columns[0]] as usize;
     let gravity = if matches!(input.stage, Stage::Transferred) { T::of(0.0) } else { input.gravity };
     let mut mass = Vec::with_capacity(velocity.len() + 4);
+    let mut momenta = [[T::of(0.0); 4]; TALLY];
     let mut reduced = Reduced::default();
-    for nodes in velocity.chunks_mut(TALLY) {
-        let (kinetic, fastest) = divide(nodes, &mut mass, gravity);
+    for (part, nodes) in velocity.chunks_mut(TALLY).enumerate() {
+        let at = from + TALLY * part;
+        sum_of_chunks(layout, chunk, grids, at, &mut momenta[..nodes.len()]);
+        let (kinetic, fastest) = divide(&momenta, nodes, &mut mass, gravity);
         reduced.kinetic += kinetic;
         reduced.fastest = reduced.fastest.max(fastest.f64());
     }
@@ -303,21 +292,40 @@ fn reduce_nodes<T: Real>(input: &Reduction<'_, T>, velocity: &mut [[T; 4]]) -> R
     reduced
 }
 
-/// Makes velocities of the momenta of at most [`TALLY`] nodes and lets them fall; appends their masses. Returns their kinetic
-/// energy and largest velocity component.
+/// What a chunk and its neighbours gave to the nodes from number `at` on, which are the chunk's own.
 #[inline(always)]
-fn divide<T: Real>(nodes: &mut [[T; 4]], mass: &mut Vec<T>, gravity: T) -> (f64, T) {
+fn sum_of_chunks<T: Real>(layout: &Layout, chunk: usize, grids: &[ChunkGrid<T>], at: usize, momenta: &mut [[T; 4]]) {
+    // what the chunk itself gave covers all of its nodes
+    let own = at - layout.chunks[chunk].nodes[0] as usize;
+    momenta.copy_from_slice(&grids[chunk].nodes[own..own + momenta.len()]);
+    for (other, grid) in grids.iter().enumerate().take(chunk + 2).skip(chunk.saturating_sub(1)) {
+        let [first, end] = layout.chunks[other].nodes.map(|node| node as usize);
+        let (low, high) = (first.max(at), end.min(at + momenta.len()));
+        if other == chunk || low >= high {
+            continue;
+        }
+        let given = &grid.nodes[low - first..high - first];
+        for (sum, given) in momenta[low - at..high - at].iter_mut().zip(given) {
+            *sum = [sum[0] + given[0], sum[1] + given[1], sum[2] + given[2], T::of(0.0)];
+        }
+    }
+}
+
+/// Velocities of at most [`TALLY`] nodes, which fall; appends their masses. Returns their kinetic energy and largest velocity
+/// component.
+#[inline(always)]
+fn divide<T: Real>(momenta: &[[T; 4]; TALLY], nodes: &mut [[T; 4]], mass: &mut Vec<T>, gravity: T) -> (f64, T) {
     let (zero, one) = (T::V::splat(T::of(0.0)), T::V::splat(T::of(1.0)));
     // nothing falls where nothing is
     let (tiny, huge) = (T::V::splat(T::of(1e-30)), T::V::splat(T::of(1e30)));
     let (gravity, half) = (T::V::splat(gravity), T::V::splat(T::of(0.5)));
     let (mut kinetic, mut fastest) = (zero, zero);
-    let mut four_of = |nodes: &mut [[T; 4]; 4]| {
+    let mut four_of = |momenta: &[[T; 4]; 4], nodes: &mut [[T; 4]; 4]| {
         let [px, pz, m, _] = T::V::transpose([
-            T::V::load(&nodes[0]),
-            T::V::load(&nodes[1]),
-            T::V::load(&nodes[2]),
-            T::V::load(&nodes[3]),
+            T::V::load(&momenta[0]),
+            T::V::load(&momenta[1]),
+            T::V::load(&momenta[2]),
+            T::V::load(&momenta[3]),
         ]);
         let inverse = one.div(m.max(tiny));
         let (vx, vz) = (px.mul(inverse), pz.mul(inverse).sub(gravity.mul(m.mul(huge).min(one))));
@@ -332,14 +340,17 @@ fn divide<T: Real>(nodes: &mut [[T; 4]], mass: &mut Vec<T>, gravity: T) -> (f64,
         m.store(&mut masses);
         mass.extend_from_slice(&masses);
     };
+    let (momenta, _) = momenta.as_chunks::<4>();
     let (fours, rest) = nodes.as_chunks_mut::<4>();
-    for nodes in fours {
-        four_of(nodes);
+    let whole = fours.len();
+    for (momenta, nodes) in momenta.iter().zip(fours) {
+        four_of(momenta, nodes);
     }
     if !rest.is_empty() {
-        let mut last = [[T::of(0.0); 4]; 4];
-        last[..rest.len()].copy_from_slice(rest);
-        four_of(&mut last);
+        // beyond the last node lie the momenta of others, or none
+        let (mut given, mut last) = ([[T::of(0.0); 4]; 4], [[T::of(0.0); 4]; 4]);
+        given[..rest.len()].copy_from_slice(&momenta[whole][..rest.len()]);
+        four_of(&given, &mut last);
         rest.copy_from_slice(&last[..rest.len()]);
     }
     let (mut sums, mut largest) = ([T::of(0.0); 4], [T::of(0.0); 4]);
@@ -365,20 +376,25 @@ fn contact<T: Real>(
     for column in columns[0]..columns[1] {
         let rows = layout.column(column);
         let inside = (input.bed[column].row - layout.lowest[column] + 1).clamp(0, rows.len() as i32) as usize;
+        let (mut slower, mut fastest) = (T::of(0.0), T::of(0.0));
         for node in rows.start - from..rows.start - from + inside {
             let (free, mass) = ([velocity[node][0], velocity[node][1]], mass[node]);
+            if mass == T::of(0.0) {
+                continue;
+            }
             let held = meet(free, &input.bed[column], input.friction, input.sticky);
             velocity[node] = [held[0], held[1], held[0], held[1]];
             let square = |v: [T; 2]| v[0] * v[0] + v[1] * v[1];
-            reduced.kinetic += (T::of(0.5) * mass * (square(held) - square(free))).f64();
-            let largest = max(max(held[0], -held[0]), max(held[1], -held[1]));
-            reduced.fastest = reduced.fastest.max(largest.f64());
+            slower += mass * (square(free) - square(held));
+            fastest = max(max(max(held[0], -held[0]), max(held[1], -held[1])), fastest);
             if let Some(before) = before {
                 let work = (held[0] - free[0]) * (held[0] + before[node][0])
                     + (held[1] - free[1]) * (held[1] + before[node][1]);
                 reduced.bed -= 0.5 * (mass * work).f64();
             }
         }
+        reduced.kinetic -= 0.5 * slower.f64();
+        reduced.fastest = reduced.fastest.max(fastest.f64());
     }
 }
 

@@ -299,8 +299,8 @@ impl<T: Real> Material<T> {
             self.scale(&trials[group], &mut secular[group]);
         }
         for _ in 0..T::RETURN_STEPS {
-            for group in 0..count {
-                secular[group].halley();
+            for secular in &mut secular[..count] {
+                secular.halley();
             }
         }
         for group in 0..count {

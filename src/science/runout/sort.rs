@@ -97,7 +97,7 @@ impl<T: Real> Keys<T> {
     #[inline(always)]
     fn of(&self, block: &Block<T>, k: usize) -> Option<usize> {
         let keys = self.of_column.get((block.place.column[k] - self.first) as usize)?;
-        let weak = !(block.strength[k] > self.weakest);
+        let weak = block.strength[k] <= self.weakest;
         Some((keys[usize::from(weak)] + block.place.row[k]) as usize)
     }
 }

@@ -1,4 +1,5 @@
 //! What the deformation of a step makes of the particles of a block: elastic strains, plastic return, stress and work.
+#![allow(clippy::needless_range_loop, reason = "a lane is a number that indexes many arrays")]
 
 use super::{
     lanes::{NEAR, Real, ln_1p_pair, max},
@@ -6,6 +7,9 @@ use super::{
     particles::{BLOCK, Block, GROUP, GROUPS},
     transfer::Motion,
 };
+
+/// In place of a ratio of strains, which is above 0, until it is found the long way.
+const UNKNOWN: f64 = -1.0;
 
 /// Stresses of the particles of a block, and what they are made of.
 #[repr(C, align(64))]
@@ -111,7 +115,7 @@ fn strain<T: Real>(block: &Block<T>, stress: &mut Stress<T>) {
         stress.volumetric[k] = s * T::atanh_ratio(s_2);
         stress.deviatoric_2[k] = radius_2 * (ratio * ratio);
         let within = (s_2 <= near) & (r_2 <= near);
-        stress.ratio[k] = if within { ratio } else { T::of(f64::NAN) };
+        stress.ratio[k] = if within { ratio } else { T::of(UNKNOWN) };
         far |= u32::from(!within);
     }
     if far != 0 {
@@ -124,7 +128,7 @@ fn strain<T: Real>(block: &Block<T>, stress: &mut Stress<T>) {
 fn strain_far<T: Real>(block: &Block<T>, stress: &mut Stress<T>) {
     let half = T::of(0.5);
     for k in 0..BLOCK {
-        if stress.ratio[k] == stress.ratio[k] {
+        if stress.ratio[k] >= T::of(0.0) {
             continue;
         }
         let (mean, dxx, xz) = (half * (block.bxx[k] + block.bzz[k]), stress.half[k], block.bxz[k]);
@@ -293,7 +297,8 @@ fn settle<T: Real>(
         block.bxx[i] = select(of_deviator.mul_add(dxx, mean), block.bxx[i]);
         block.bzz[i] = select((-of_deviator).mul_add(dxx, mean), block.bzz[i]);
         block.bxz[i] = select(of_deviator * xz, xz);
-        far |= u32::from(out & !(square <= T::of(NEAR)));
+        let short = square <= T::of(NEAR);
+        far |= u32::from(out & !short);
         block.plastic_strain[i] = select(block.plastic_strain[i] + returned.plastic[k], block.plastic_strain[i]);
         let (isotropic, shear) = (material.bulk * volumetric, material.shear_2 * deviator);
         stress.xx[i] = select(shear.mul_add(dxx, isotropic), stress.xx[i]);
@@ -321,7 +326,8 @@ fn settle_far<T: Real>(
         let i = first(group) + k;
         let (volumetric, shear) = (returned.volumetric[k], returned.shear[k]);
         let near = four * stress.deviatoric_2[i] * (shear * shear) <= T::of(NEAR);
-        if near || !(stress.yielding[i] > T::of(0.0)) {
+        let yields = stress.yielding[i] > T::of(0.0);
+        if near || !yields {
             continue;
         }
         let deviatoric = stress.deviatoric_2[i].sqrt();

@@ -170,9 +170,9 @@ fn gather<T: Real>(step: &Step<'_, T>, place: &Place<T>, scratch: &mut Scratch<T
     let mut lost = 0;
     for four in 0..BLOCK / 4 {
         let mut of_particle = [(T::V::splat(T::of(0.0)), T::V::splat(T::of(0.0))); 4];
-        for i in 0..4 {
+        for (i, of_particle) in of_particle.iter_mut().enumerate() {
             match sums(step, place, weight, 4 * four + i) {
-                Some(sums) => of_particle[i] = sums,
+                Some(sums) => *of_particle = sums,
                 None => lost += 1,
             }
         }
@@ -248,8 +248,8 @@ fn prepare<T: Real>(place: &Place<T>, scratch: &mut Scratch<T>) {
 
 /// Adds the particles' mass and momentum to their nodes; returns how many had none.
 ///
-/// Particles that follow each other lie in one cell; they are visited 16 apart, so that a sum does not wait for the one
-/// before it.
+/// Particles that follow each other lie in one cell; they are visited a quarter of the block apart, so that a sum does not
+/// wait for the one before it.
 #[inline(always)]
 fn scatter<T: Real>(
     offset: &[i32],
@@ -259,41 +259,51 @@ fn scatter<T: Real>(
     grid: &mut ChunkGrid<T>,
 ) -> u32 {
     let mut lost = 0;
-    for visit in 0..BLOCK {
-        let k = (visit % 4) * (BLOCK / 4) + visit / 4;
-        if k >= len {
-            continue;
+    for visit in 0..BLOCK / 4 {
+        for quarter in 0..4 {
+            let k = quarter * (BLOCK / 4) + visit;
+            if k < len && give(offset, place, scratch, k, grid).is_none() {
+                lost += 1;
+            }
         }
-        let Some(bases) = bases(offset, place.column[k], place.row[k], grid.first) else {
-            lost += 1;
-            continue;
-        };
-        let weight = |i: usize| T::V::splat(scratch.weight[i][k]);
-        let at_node = T::V::load(&scratch.at_node[k]);
-        let (slope_x, slope_z) = (T::V::load(&scratch.slope_x[k]), T::V::load(&scratch.slope_z[k]));
-        let rows = [weight(3), weight(4), weight(5)];
-        let mut add = |base: u32, weight: T::V, level: T::V| {
-            add_column(&mut grid.nodes, base, rows, weight.mul(level), weight.mul(slope_z))
-        };
-        // written out: a loop would go through memory
-        lost += add(bases[0], weight(0), at_node.sub(slope_x));
-        lost += add(bases[1], weight(1), at_node);
-        lost += add(bases[2], weight(2), at_node.add(slope_x));
     }
     lost
 }
 
-/// Adds to the three nodes from `base` on `level`, less and plus `slope` below and above, with the weights of the rows;
-/// returns 1 where there are no such nodes.
+/// Adds the mass and momentum of particle `k` to its nodes, if it has any.
 #[inline(always)]
-fn add_column<T: Real>(nodes: &mut [[T; 4]], base: u32, rows: [T::V; 3], level: T::V, slope: T::V) -> u32 {
+fn give<T: Real>(
+    offset: &[i32],
+    place: &Place<T>,
+    scratch: &Scratch<T>,
+    k: usize,
+    grid: &mut ChunkGrid<T>,
+) -> Option<()> {
+    let [left, middle, right] = bases(offset, place.column[k], place.row[k], grid.first)?;
+    let weight = |i: usize| T::V::splat(scratch.weight[i][k]);
+    let at_node = T::V::load(&scratch.at_node[k]);
+    let (slope_x, slope_z) = (T::V::load(&scratch.slope_x[k]), T::V::load(&scratch.slope_z[k]));
+    let rows = [weight(3), weight(4), weight(5)];
+    // written out: a loop would go through memory
+    let weights = weight(0);
+    add_column(&mut grid.nodes, left, rows, weights.mul(at_node.sub(slope_x)), weights.mul(slope_z))?;
+    let weights = weight(1);
+    add_column(&mut grid.nodes, middle, rows, weights.mul(at_node), weights.mul(slope_z))?;
+    let weights = weight(2);
+    add_column(&mut grid.nodes, right, rows, weights.mul(at_node.add(slope_x)), weights.mul(slope_z))
+}
+
+/// Adds to the three nodes from `base` on `level`, less and plus `slope` below and above, with the weights of the rows, if
+/// there are such nodes.
+#[inline(always)]
+fn add_column<T: Real>(nodes: &mut [[T; 4]], base: u32, rows: [T::V; 3], level: T::V, slope: T::V) -> Option<()> {
     let base = base as usize;
-    let nodes = nodes.get_mut(base..base.wrapping_add(3)).and_then(|nodes| nodes.first_chunk_mut::<3>());
-    let Some([below, middle, above]) = nodes else { return 1 };
-    rows[0].mul_add(level.sub(slope), T::V::load(below)).store(below);
-    rows[1].mul_add(level, T::V::load(middle)).store(middle);
-    rows[2].mul_add(level.add(slope), T::V::load(above)).store(above);
-    0
+    let [below, middle, above] = nodes.get_mut(base..base.wrapping_add(3))?.first_chunk_mut()?;
+    // not fused: compilers would put two nodes into one register, and reading them would wait for what wrote one of them
+    T::V::load(below).add(rows[0].mul(level.sub(slope))).store(below);
+    T::V::load(middle).add(rows[1].mul(level)).store(middle);
+    T::V::load(above).add(rows[2].mul(level.add(slope))).store(above);
+    Some(())
 }
 
 /// The particles' velocities from the grid, their deformation, stress and new places, and what they give to the grid again.
