@@ -28,6 +28,12 @@ pub struct Settings {
     /// Largest request body in MiB [default: 32]
     #[arg(long, env = "FIRN_MAX_BODY_MIB", value_name = "MIB")]
     pub max_body_mib: Option<usize>,
+    /// Largest file of a data set in MiB [default: 1024]
+    #[arg(long, env = "FIRN_MAX_DATASET_MIB", value_name = "MIB")]
+    pub max_dataset_mib: Option<u64>,
+    /// Seconds that the upload of a data set may take [default: 600]
+    #[arg(long, env = "FIRN_UPLOAD_TIMEOUT_S", value_name = "S")]
+    pub upload_timeout_s: Option<u64>,
     /// Seconds that a request may take [default: 30]
     #[arg(long, env = "FIRN_REQUEST_TIMEOUT_S", value_name = "S")]
     pub request_timeout_s: Option<u64>,
@@ -128,6 +134,10 @@ pub struct Config {
     pub allow_anonymous: bool,
     /// Largest request body, bytes.
     pub max_body_bytes: usize,
+    /// Largest file of a data set, bytes.
+    pub max_dataset_bytes: u64,
+    /// How long the upload of a data set may take.
+    pub upload_timeout: Duration,
     /// How long a request may take.
     pub request_timeout: Duration,
     /// Requests that are worked on at once.
@@ -205,6 +215,12 @@ impl Settings {
             data_dir,
             allow_anonymous: self.allow_anonymous.or(file.allow_anonymous).unwrap_or(false),
             max_body_bytes: self.max_body_mib.or(file.max_body_mib).unwrap_or(32).saturating_mul(MIB),
+            max_dataset_bytes: self
+                .max_dataset_mib
+                .or(file.max_dataset_mib)
+                .unwrap_or(1024)
+                .saturating_mul(1024 * 1024),
+            upload_timeout: Duration::from_secs(self.upload_timeout_s.or(file.upload_timeout_s).unwrap_or(600)),
             request_timeout: Duration::from_secs(self.request_timeout_s.or(file.request_timeout_s).unwrap_or(30)),
             max_requests: self.max_requests.or(file.max_requests).map_or(512, NonZeroUsize::get),
             compute_threads: self.compute_threads.or(file.compute_threads).map_or(cores, NonZeroUsize::get),

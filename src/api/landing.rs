@@ -22,7 +22,12 @@ pub struct Link {
 impl Link {
     /// A link to a JSON document.
     pub fn json(href: impl Into<String>, rel: &'static str, title: &'static str) -> Self {
-        Self { href: href.into(), rel, r#type: "application/json", title }
+        Self::new(href, rel, "application/json", title)
+    }
+
+    /// A link to anything.
+    pub fn new(href: impl Into<String>, rel: &'static str, media_type: &'static str, title: &'static str) -> Self {
+        Self { href: href.into(), rel, r#type: media_type, title }
     }
 }
 

@@ -2,6 +2,8 @@
 
 pub mod auth;
 mod avalanches;
+mod dataset_hits;
+mod datasets;
 mod docs;
 pub(crate) mod extract;
 mod feature_sets;
@@ -22,11 +24,13 @@ mod processes;
 mod respond;
 mod router;
 mod scenarios;
+mod spool;
 pub(crate) mod stations;
 
 use std::sync::Arc;
 
 pub use router::{document, router};
+pub use spool::sweep;
 
 use crate::{
     config::Config,
@@ -46,6 +50,8 @@ pub struct AppState {
     pub metrics: metrics::Metrics,
     /// The settings in force.
     pub config: Arc<Config>,
+    /// Turns of reading files of acoustic emission.
+    pub intake: Arc<tokio::sync::Semaphore>,
     /// Cancelled once the service takes no new work.
     pub stopping: tokio_util::sync::CancellationToken,
 }

@@ -64,6 +64,8 @@ codes! {
     NoActiveModel "no-active-model" 404 "The station has no active model" "Train one with `POST /v1/processes/train-model/execution`; a station's first model becomes active by itself.";
     UnknownModel "unknown-model" 404 "No such model" "The model id is not known. `GET /v1/models` lists the models.";
     UnknownFeatureSet "unknown-feature-set" 404 "No such feature set" "`GET /v1/feature-sets` lists the feature sets.";
+    UnknownDataset "unknown-dataset" 404 "No such data set" "The id of the data set is not known, or it was removed. `GET /v1/datasets` lists the data sets.";
+    DatasetRefused "dataset-refused" 422 "The data set was refused" "The file was read but is no good data set: the unit of the amplitudes is not known, a value cannot be, or nothing in it is known. `errors` names the column and the line or row. Nothing was stored.";
     NoSuchProcess "no-such-process" 404 "No such process" "`GET /v1/processes` lists the processes.";
     NoSuchJob "no-such-job" 404 "No such job" "The job id is not known, or the finished job was removed.";
     ResultNotReady "result-not-ready" 404 "The results are not ready" "The job has not ended yet. Poll its status document until `status` is `successful`.";

@@ -5,6 +5,8 @@
 //! and only a file that cannot be understood as a whole is a [`FormatError`].
 
 mod csv_source;
+pub mod emission;
+pub mod figures;
 pub mod film;
 pub mod json;
 pub mod ndjson;

@@ -8,6 +8,7 @@
 mod archive;
 mod auth;
 mod avalanches;
+mod emission;
 mod forecasts;
 mod imports;
 mod interrupted;

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use jiff::SignedDuration;
+use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
 use uuid::Uuid;
 
@@ -23,7 +23,7 @@ use crate::{
     },
     store::{
         StoreError,
-        jobs::{Beat, Claim, Outcome, OutputRecord},
+        jobs::{Beat, Claim, Kept, Outcome, OutputRecord},
     },
 };
 
@@ -71,7 +71,7 @@ impl Desk {
         let payload = match Process::from_id(&job.process_id) {
             Some(process) => {
                 self.0.tally.attempt(process);
-                process.payload(&self.0.store, &job).await
+                process.payload(self.shelf(), &job).await
             }
             None => Err(Problem::new(Code::JobFailed, format!("there is no process {} any more", job.process_id))),
         };
@@ -180,7 +180,7 @@ impl Desk {
         for (position, part) in (0..).zip(&output.split) {
             let process = Process::from_id(&part.process_id)
                 .ok_or_else(|| Problem::new(Code::NoSuchProcess, format!("there is no process {}", part.process_id)))?;
-            let accepted = process.accept(&self.0.store, &part.inputs).await?;
+            let accepted = process.accept(self.shelf(), &part.inputs).await?;
             let mut job = new_job(process, accepted.inputs, accepted.hash);
             job.parent = Some(parent);
             job.position = Some(position);
@@ -190,6 +190,19 @@ impl Desk {
             jobs.push(job);
         }
         Ok(jobs)
+    }
+
+    /// What a job wants kept beside it, as the store keeps it; or why that is not what its process gives.
+    async fn kept(
+        &self,
+        id: Uuid,
+        keep: Option<&Value>,
+        now: Timestamp,
+    ) -> Result<Result<Option<Kept>, serde_json::Error>, StoreError> {
+        let Some(keep) = keep else { return Ok(Ok(None)) };
+        let job = self.0.store.job(id).await?.ok_or(StoreError::Missing)?;
+        let process = Process::from_id(&job.process_id).ok_or(StoreError::Missing)?;
+        Ok(process.kept(&job, keep, now).map(Some))
     }
 
     /// Ends an attempt in the store, with what is kept beside it, and sees to what that brings about.
@@ -202,7 +215,7 @@ impl Desk {
         spent: Spent,
     ) -> Result<(), StoreError> {
         let now = clock::now();
-        let (outcome, kept) = match keep.map(|keep| Process::kept(id, keep, now)).transpose() {
+        let (outcome, kept) = match self.kept(id, keep, now).await? {
             Ok(kept) => (outcome, kept),
             // to deliver it again would not mend it
             Err(error) => {

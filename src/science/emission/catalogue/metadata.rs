@@ -38,6 +38,7 @@ pub struct Sensor {
     pub position_m: [f64; 3],
     /// Sensitivity, V/Pa at the sensor.
     #[serde(default)]
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
     pub sensitivity_v_per_pa: Option<f64>,
     /// Delay by which its arrival times are late, s.
     #[serde(default)]
@@ -54,6 +55,7 @@ pub struct Metadata {
     /// Temperature, degC.
     pub temperature_c: Option<f64>,
     /// Mean grain size, mm; none for a single crystal.
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
     pub grain_size_mm: Option<f64>,
     /// Applied stress, MPa.
     pub stress_mpa: Option<f64>,
@@ -68,12 +70,16 @@ pub struct Metadata {
     /// Gain of the preamplifier, dB: amplitude_v is behind it, amplitude_db before it.
     pub preamp_gain_db: Option<f64>,
     /// Detection threshold behind the preamplifier, V.
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
     pub threshold_v: Option<f64>,
     /// Standard error of a coordinate of a located event, m.
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
     pub location_error_m: Option<f64>,
     /// Speed of longitudinal waves, m/s.
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
     pub longitudinal_speed_m_per_s: Option<f64>,
     /// Speed of transverse waves, m/s.
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
     pub transverse_speed_m_per_s: Option<f64>,
     /// Sensors.
     pub sensors: Vec<Sensor>,
