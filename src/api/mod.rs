@@ -22,6 +22,7 @@ mod processes;
 mod respond;
 mod router;
 mod scenarios;
+mod selections;
 pub(crate) mod stations;
 
 use std::sync::Arc;

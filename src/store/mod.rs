@@ -5,6 +5,7 @@ pub mod jobs;
 pub mod keys;
 pub mod models;
 pub mod observations;
+pub mod selections;
 pub mod stations;
 
 use std::{
@@ -88,6 +89,15 @@ impl StoreError {
     fn corrupt(what: impl std::fmt::Display) -> Self {
         Self::Corrupt(what.to_string())
     }
+}
+
+/// What a successful job leaves behind for other calls to read, written in the transaction that ends it.
+#[derive(Clone, Debug)]
+pub enum Keep {
+    /// A trained model.
+    Model(Box<models::NewModel>),
+    /// What a feature elimination found.
+    Selection(Box<selections::NewSelection>),
 }
 
 /// Shorthand of this module.

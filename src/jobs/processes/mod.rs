@@ -2,6 +2,7 @@
 
 pub mod echo;
 pub mod runout;
+pub mod select_features;
 pub mod train_model;
 
 use firn_science::progress::Progress;
@@ -15,7 +16,7 @@ use crate::{
         job::Job,
         problem::{Code, FieldError, Problem},
     },
-    store::{Store, models::NewModel},
+    store::{Keep, Store},
 };
 
 /// A process that jobs execute.
@@ -25,6 +26,8 @@ pub enum Process {
     Echo,
     /// Trains and evaluates a model of a station.
     TrainModel,
+    /// Finds how many features a model of a station takes.
+    SelectFeatures,
     /// Simulates the run-out of an avalanche.
     Runout,
 }
@@ -57,7 +60,7 @@ pub struct Description {
 
 impl Process {
     /// Every process.
-    pub const ALL: [Self; 3] = [Self::Echo, Self::TrainModel, Self::Runout];
+    pub const ALL: [Self; 4] = [Self::Echo, Self::TrainModel, Self::SelectFeatures, Self::Runout];
 
     /// Its id in every address.
     #[must_use]
@@ -65,6 +68,7 @@ impl Process {
         match self {
             Self::Echo => echo::ID,
             Self::TrainModel => train_model::ID,
+            Self::SelectFeatures => select_features::ID,
             Self::Runout => runout::ID,
         }
     }
@@ -81,6 +85,7 @@ impl Process {
         match self {
             Self::Echo => echo::description(),
             Self::TrainModel => train_model::description(),
+            Self::SelectFeatures => select_features::description(),
             Self::Runout => runout::description(),
         }
     }
@@ -99,6 +104,7 @@ impl Process {
         match self {
             Self::Echo => echo::accept(inputs),
             Self::TrainModel => train_model::accept(store, inputs).await,
+            Self::SelectFeatures => select_features::accept(store, inputs).await,
             Self::Runout => runout::accept(inputs),
         }
     }
@@ -116,6 +122,7 @@ impl Process {
                 echo::payload(&job.inputs, children)
             }
             Self::TrainModel => train_model::payload(store, job).await,
+            Self::SelectFeatures => select_features::payload(store, job).await,
             Self::Runout => runout::payload(job),
         }
     }
@@ -128,6 +135,7 @@ impl Process {
         match self {
             Self::Echo => echo::compute(payload, progress),
             Self::TrainModel => train_model::compute(payload, progress),
+            Self::SelectFeatures => select_features::compute(payload, progress),
             Self::Runout => runout::compute(payload, progress),
         }
     }
@@ -136,8 +144,13 @@ impl Process {
     ///
     /// # Errors
     /// Where it is not what [`Process::compute`] gives.
-    pub fn kept(job: Uuid, keep: &Value, now: Timestamp) -> Result<NewModel, serde_json::Error> {
-        train_model::kept(job, keep, now)
+    pub fn kept(job: Uuid, keep: &Value, now: Timestamp) -> Result<Keep, serde_json::Error> {
+        match keep["kind"].as_str() {
+            Some(select_features::KIND) => {
+                select_features::kept(job, keep).map(|selection| Keep::Selection(Box::new(selection)))
+            }
+            _ => train_model::kept(job, keep, now).map(|model| Keep::Model(Box::new(model))),
+        }
     }
 }
 

@@ -8,7 +8,7 @@ use uuid::Uuid;
 use super::{children, history, outputs, rows::JobRow, step};
 use crate::{
     domain::job::{Event, Exception, Job, Report, Spent, Status},
-    store::{Result, Store, StoreError, models, models::NewModel, parse_timestamp, to_json},
+    store::{Keep, Result, Store, StoreError, models, parse_timestamp, selections, to_json},
 };
 
 /// What became of the wish to take a job.
@@ -255,7 +255,7 @@ impl Store {
         id: Uuid,
         attempt: u32,
         outcome: Outcome,
-        keep: Option<&NewModel>,
+        keep: Option<&Keep>,
         spent: Spent,
         now: Timestamp,
     ) -> Result<Ended> {
@@ -269,7 +269,10 @@ impl Store {
                 fail(&mut tx, id, &exception, now).await?
             }
             Outcome::Successful { mut results, outputs } => {
-                if let Some(model) = keep {
+                if let Some(Keep::Selection(selection)) = keep {
+                    selections::insert(&mut tx, selection, now).await?;
+                }
+                if let Some(Keep::Model(model)) = keep {
                     let activated = models::insert(&mut tx, model, now).await?;
                     let mut document = serde_json::json!({"model_id": model.record.id, "activated": activated});
                     if let (Some(document), serde_json::Value::Object(rest)) = (document.as_object_mut(), results) {
