@@ -24,6 +24,7 @@ mod processes;
 mod respond;
 mod router;
 mod scenarios;
+mod selections;
 mod spool;
 pub(crate) mod stations;
 

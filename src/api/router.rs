@@ -28,7 +28,7 @@ use super::{
     job_results::{self, REPR_DIGEST},
     jobs, landing, metrics, models, observations, openapi,
     problem::{ApiError, REQUEST_ID, from_panic},
-    processes, scenarios, stations,
+    processes, scenarios, selections, stations,
 };
 use crate::domain::{
     ids::new_id,
@@ -91,6 +91,7 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(models::get_model))
         .routes(routes!(models::get_evaluation))
         .routes(routes!(models::get_features))
+        .routes(routes!(selections::get_selection))
         .routes(routes!(models::get_active_model, models::put_active_model))
         .routes(routes!(forecasts::list_forecasts))
         .routes(routes!(forecasts::get_latest_forecast))

@@ -63,6 +63,7 @@ codes! {
     NoAvalancheRecord "no-avalanche-record" 404 "There is no avalanche record of that day" "Nobody recorded the avalanche activity of that day. That is not the same as none.";
     NoActiveModel "no-active-model" 404 "The station has no active model" "Train one with `POST /v1/processes/train-model/execution`; a station's first model becomes active by itself.";
     UnknownModel "unknown-model" 404 "No such model" "The model id is not known. `GET /v1/models` lists the models.";
+    NoSelection "no-selection" 404 "The model has no selection of features" "The model was trained without the input `selection`, so there is no curve of its features. Run `select-features` and train with its job id.";
     UnknownFeatureSet "unknown-feature-set" 404 "No such feature set" "`GET /v1/feature-sets` lists the feature sets.";
     UnknownDataset "unknown-dataset" 404 "No such data set" "The id of the data set is not known, or it was removed. `GET /v1/datasets` lists the data sets.";
     DatasetRefused "dataset-refused" 422 "The data set was refused" "The file was read but is no good data set: the unit of the amplitudes is not known, a value cannot be, or nothing in it is known. `errors` names the column and the line or row. Nothing was stored.";

@@ -6,6 +6,7 @@ pub mod jobs;
 pub mod keys;
 pub mod models;
 pub mod observations;
+pub mod selections;
 pub mod stations;
 
 use std::{

@@ -6,6 +6,7 @@ pub mod emission_analysis;
 pub mod emission_comparison;
 pub mod emission_synthetic;
 pub mod runout;
+pub mod select_features;
 pub mod train_model;
 
 use firn_science::progress::Progress;
@@ -37,6 +38,8 @@ pub enum Process {
     Echo,
     /// Trains and evaluates a model of a station.
     TrainModel,
+    /// Finds how many features a model of a station takes.
+    SelectFeatures,
     /// Simulates the run-out of an avalanche.
     Runout,
     /// Analyses a data set of acoustic emission.
@@ -75,9 +78,10 @@ pub struct Description {
 
 impl Process {
     /// Every process.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Echo,
         Self::TrainModel,
+        Self::SelectFeatures,
         Self::Runout,
         Self::EmissionAnalysis,
         Self::EmissionComparison,
@@ -90,6 +94,7 @@ impl Process {
         match self {
             Self::Echo => echo::ID,
             Self::TrainModel => train_model::ID,
+            Self::SelectFeatures => select_features::ID,
             Self::Runout => runout::ID,
             Self::EmissionAnalysis => emission_analysis::ID,
             Self::EmissionComparison => emission_comparison::ID,
@@ -109,6 +114,7 @@ impl Process {
         match self {
             Self::Echo => echo::description(),
             Self::TrainModel => train_model::description(),
+            Self::SelectFeatures => select_features::description(),
             Self::Runout => runout::description(),
             Self::EmissionAnalysis => emission_analysis::description(),
             Self::EmissionComparison => emission_comparison::description(),
@@ -131,6 +137,7 @@ impl Process {
         match self {
             Self::Echo => echo::accept(inputs),
             Self::TrainModel => train_model::accept(shelf.store, inputs).await,
+            Self::SelectFeatures => select_features::accept(shelf.store, inputs).await,
             Self::Runout => runout::accept(inputs),
             Self::EmissionAnalysis => emission_analysis::accept(shelf, inputs).await,
             Self::EmissionComparison => emission_comparison::accept(shelf, inputs).await,
@@ -154,6 +161,7 @@ impl Process {
                 echo::payload(&job.inputs, children)
             }
             Self::TrainModel => train_model::payload(shelf.store, job).await,
+            Self::SelectFeatures => select_features::payload(shelf.store, job).await,
             Self::Runout => runout::payload(job),
             Self::EmissionAnalysis => emission_analysis::payload(shelf, job).await,
             Self::EmissionComparison => emission_comparison::payload(shelf, job).await,
@@ -169,6 +177,7 @@ impl Process {
         match self {
             Self::Echo => echo::compute(payload, progress),
             Self::TrainModel => train_model::compute(payload, progress),
+            Self::SelectFeatures => select_features::compute(payload, progress),
             Self::Runout => runout::compute(payload, progress),
             Self::EmissionAnalysis => emission_analysis::compute(payload, progress),
             Self::EmissionComparison => emission_comparison::compute(payload, progress),
@@ -183,6 +192,9 @@ impl Process {
     pub fn kept(self, job: &Job, keep: &Value, now: Timestamp) -> Result<Kept, serde_json::Error> {
         match self {
             Self::EmissionSynthetic => emission_synthetic::kept(job, keep, now).map(Kept::Dataset),
+            Self::SelectFeatures => {
+                select_features::kept(job.id, keep).map(|selection| Kept::Selection(Box::new(selection)))
+            }
             _ => train_model::kept(job.id, keep, now).map(|model| Kept::Model(Box::new(model))),
         }
     }

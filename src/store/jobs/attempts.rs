@@ -8,7 +8,7 @@ use uuid::Uuid;
 use super::{children, history, outputs, rows::JobRow, step};
 use crate::{
     domain::job::{Event, Exception, Job, Report, Spent, Status},
-    store::{Result, Store, StoreError, datasets, jobs::Kept, models, parse_timestamp, to_json},
+    store::{Result, Store, StoreError, datasets, jobs::Kept, models, parse_timestamp, selections, to_json},
 };
 
 /// What became of the wish to take a job.
@@ -278,6 +278,10 @@ impl Store {
                         Kept::Dataset(dataset) => {
                             datasets::insert(&mut tx, dataset).await?;
                             serde_json::json!({"dataset_id": dataset.id})
+                        }
+                        Kept::Selection(selection) => {
+                            selections::insert(&mut tx, selection, now).await?;
+                            serde_json::json!({})
                         }
                     };
                     if let (Some(document), serde_json::Value::Object(rest)) = (document.as_object_mut(), results) {

@@ -289,10 +289,11 @@ impl TrainedModel {
 
     /// The features as they are computed today, which must be those of the training.
     fn feature_set(&self) -> Result<FeatureSet, ForecastError> {
-        let set = FeatureSet::new(self.feature_set, &self.reported);
-        if set.version != self.feature_set_version {
-            return Err(ForecastError::FeatureSetChanged { stored: self.feature_set_version, current: set.version });
+        let all = FeatureSet::new(self.feature_set, &self.reported);
+        if all.version != self.feature_set_version {
+            return Err(ForecastError::FeatureSetChanged { stored: self.feature_set_version, current: all.version });
         }
+        let set = all.only(&self.features).map_err(|_| ForecastError::Damaged)?;
         let fits = set.names() == self.features
             && self.preparation.columns().len() == self.features.len()
             && self.machine.support.iter().all(|row| row.len() == self.features.len())

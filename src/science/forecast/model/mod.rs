@@ -14,8 +14,8 @@ pub use forecast::{
     Category, FeatureContribution, Forecast, ForecastError, InputQuality, SimilarDay, SupportDay, TrainedModel,
     TrainingWindow,
 };
-pub use options::{LONGEST_LEAD, TrainingError, TrainingOptions, TrainingSummary, check};
-use options::{Prepared, prepare};
+pub use options::{FeatureChoice, LONGEST_LEAD, TrainingError, TrainingOptions, TrainingSummary, check};
+pub(crate) use options::{Prepared, prepare};
 
 /// A model and what it is worth.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -60,8 +60,8 @@ fn fit(prepared: &Prepared, options: &TrainingOptions, progress: &dyn Progress) 
         feature_set: set.id,
         feature_set_version: set.version,
         reported: set.reported.clone(),
-        features: set.names().into_iter().map(str::to_owned).collect(),
-        preparation: part.preparation,
+        features: svm.columns.iter().map(|&j| set.features[j].name.clone()).collect(),
+        preparation: part.preparation.select(&svm.columns),
         support: support_days(samples, &svm.machine.support_index),
         machine: svm.machine,
         platt: svm.platt,

@@ -19,6 +19,7 @@ fn options() -> TrainingOptions {
         label: Label::Observed,
         lead: 0,
         feature_set: FeatureSetId::Expert,
+        features: FeatureChoice::All,
         kernel: KernelFamily::Gaussian,
         reported: REPORTED.to_vec(),
         seed: 7,
