@@ -122,6 +122,8 @@ impl Server {
             async move {
                 stop.cancelled().await;
                 state.stopping.cancel();
+                // not ready, and still there to say so
+                tokio::time::sleep(state.config.grace.min(deadline / 2)).await;
             }
         };
         let serve = axum::serve(listener, router).with_graceful_shutdown(begin);

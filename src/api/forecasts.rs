@@ -229,6 +229,7 @@ impl Speaker {
                 ForecastError::NoBaseDay { .. } => {
                     Problem::field(Code::InvalidParameter, "/date", "out_of_range", error.to_string())
                 }
+                ForecastError::FeatureSetChanged { .. } => Problem::new(Code::ModelOutdated, error.to_string()),
                 error => Problem::internal(error),
             });
         };

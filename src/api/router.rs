@@ -44,13 +44,13 @@ const LONGEST_REQUEST_ID: usize = 128;
 fn vital_signs() -> OpenApiRouter<AppState> {
     OpenApiRouter::with_openapi(openapi::Document::openapi())
         .routes(routes!(health::livez))
+        .routes(routes!(health::readyz))
         .routes(routes!(metrics::metrics))
 }
 
 fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         // the service itself
-        .routes(routes!(health::readyz))
         .routes(routes!(docs::openapi_json))
         .routes(routes!(docs::list_problems))
         .routes(routes!(docs::get_problem))

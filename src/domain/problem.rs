@@ -62,6 +62,7 @@ codes! {
     NoObservation "no-observation" 404 "There is no observation of that day" "Nothing was recorded for the day that was asked for.";
     NoAvalancheRecord "no-avalanche-record" 404 "There is no avalanche record of that day" "Nobody recorded the avalanche activity of that day. That is not the same as none.";
     NoActiveModel "no-active-model" 404 "The station has no active model" "Train one with `POST /v1/processes/train-model/execution`; a station's first model becomes active by itself.";
+    ModelOutdated "model-outdated" 404 "The active model can no longer forecast" "The model was trained with features that have changed since. Train it again with `POST /v1/processes/train-model/execution`.";
     UnknownModel "unknown-model" 404 "No such model" "The model id is not known. `GET /v1/models` lists the models.";
     NoSelection "no-selection" 404 "The model has no selection of features" "The model was trained without the input `selection`, so there is no curve of its features. Run `select-features` and train with its job id.";
     UnknownFeatureSet "unknown-feature-set" 404 "No such feature set" "`GET /v1/feature-sets` lists the feature sets.";

@@ -76,7 +76,14 @@ impl Desk {
             None => Err(Problem::new(Code::JobFailed, format!("there is no process {} any more", job.process_id))),
         };
         match payload {
-            Ok(payload) => Ok(Assignment::Taken { job, payload, checkpoint, lease_ms: ms(self.lease()) }),
+            Ok(payload) => {
+                if payload.input_hash != job.input_hash {
+                    // what the inputs name was edited while the job waited: it is found again by what it computes
+                    self.0.store.set_input_hash(job.id, job.attempt, &payload.input_hash).await.map_err(link)?;
+                }
+                let lease_ms = ms(self.lease());
+                Ok(Assignment::Taken { job, payload: payload.bytes, checkpoint, lease_ms })
+            }
             Err(problem) if problem.code == Code::Internal => {
                 // not the fault of the job: it is tried again
                 self.0.store.release_job(job.id, job.attempt, Spent::default(), clock::now()).await.map_err(link)?;

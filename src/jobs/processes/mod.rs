@@ -59,6 +59,15 @@ pub struct Accepted {
     pub hash: String,
 }
 
+/// What a worker computes from: it has no store.
+#[derive(Debug)]
+pub struct Payload {
+    /// For [`Process::compute`].
+    pub bytes: Vec<u8>,
+    /// SHA-256 (hex) of the inputs and of the content that they name, as it is in `bytes`.
+    pub input_hash: String,
+}
+
 /// What a client needs to know of a process: OGC API - Processes Part 1, section 7.10.
 #[derive(Debug)]
 pub struct Description {
@@ -149,8 +158,8 @@ impl Process {
     ///
     /// # Errors
     /// A [`Problem`] where the job can no longer be computed.
-    pub async fn payload(self, shelf: Shelf<'_>, job: &Job) -> Result<Vec<u8>, Problem> {
-        match self {
+    pub async fn payload(self, shelf: Shelf<'_>, job: &Job) -> Result<Payload, Problem> {
+        let bytes = match self {
             Self::Echo => {
                 let is_parent = job.inputs["parts"].as_u64() > Some(0);
                 let children = if is_parent {
@@ -160,13 +169,14 @@ impl Process {
                 };
                 echo::payload(&job.inputs, children)
             }
-            Self::TrainModel => train_model::payload(shelf.store, job).await,
-            Self::SelectFeatures => select_features::payload(shelf.store, job).await,
+            Self::TrainModel => return train_model::payload(shelf.store, job).await,
+            Self::SelectFeatures => return select_features::payload(shelf.store, job).await,
             Self::Runout => runout::payload(job),
             Self::EmissionAnalysis => emission_analysis::payload(shelf, job).await,
             Self::EmissionComparison => emission_comparison::payload(shelf, job).await,
             Self::EmissionSynthetic => emission_synthetic::payload(job),
-        }
+        }?;
+        Ok(Payload { bytes, input_hash: job.input_hash.clone() })
     }
 
     /// Computes a job from its payload: a pure function that reports to `progress`.

@@ -150,7 +150,7 @@ struct Payload {
 }
 
 /// The days as they are now.
-pub(super) async fn payload(store: &Store, job: &Job) -> Result<Vec<u8>, Problem> {
+pub(super) async fn payload(store: &Store, job: &Job) -> Result<super::Payload, Problem> {
     let inputs: Inputs = serde_json::from_value(job.inputs.clone()).map_err(Problem::internal)?;
     let training = inputs.training();
     let Prepared { station, days, options } = train_model::prepare(store, &training).await?;
@@ -162,7 +162,8 @@ pub(super) async fn payload(store: &Store, job: &Job) -> Result<Vec<u8>, Problem
         inputs,
         days,
     };
-    serde_json::to_vec(&payload).map_err(Problem::internal)
+    let bytes = serde_json::to_vec(&payload).map_err(Problem::internal)?;
+    Ok(super::Payload { bytes, input_hash: payload.input_hash })
 }
 
 /// Eliminates and scores.

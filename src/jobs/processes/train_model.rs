@@ -292,7 +292,7 @@ struct Kept {
 }
 
 /// The days as they are now: what was edited while the job waited counts, and the provenance says so.
-pub(super) async fn payload(store: &Store, job: &Job) -> Result<Vec<u8>, Problem> {
+pub(super) async fn payload(store: &Store, job: &Job) -> Result<super::Payload, Problem> {
     let inputs: Inputs = serde_json::from_value(job.inputs.clone()).map_err(Problem::internal)?;
     let Prepared { station, days, options } = prepare(store, &inputs).await?;
     let payload = Payload {
@@ -303,7 +303,8 @@ pub(super) async fn payload(store: &Store, job: &Job) -> Result<Vec<u8>, Problem
         inputs,
         days,
     };
-    serde_json::to_vec(&payload).map_err(Problem::internal)
+    let bytes = serde_json::to_vec(&payload).map_err(Problem::internal)?;
+    Ok(super::Payload { bytes, input_hash: payload.input_hash })
 }
 
 /// Trains and evaluates.

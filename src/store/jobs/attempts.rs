@@ -121,7 +121,7 @@ impl Store {
             "UPDATE job SET status = ?2, attempt = attempt + 1, lost = ?3, worker = ?4, lease_until_ms = ?5,
                  progress = coalesce((SELECT progress FROM job_checkpoint WHERE job_checkpoint.job = job.id), 0),
                  phase = NULL, rate = NULL, rate_unit = NULL, eta_seconds = NULL,
-                 started = coalesce(started, ?6), updated = ?6, claimed_ms = ?7
+                 started = coalesce(started, ?6), updated = ?6, claimed_ms = ?7, version = ?8
              WHERE id = ?1 RETURNING *",
         )
         .bind(id.to_string())
@@ -131,6 +131,8 @@ impl Store {
         .bind(after(now, lease))
         .bind(now.to_string())
         .bind(now.as_millisecond())
+        // of the firn that computes it, which an upgrade may have changed since it was accepted
+        .bind(env!("CARGO_PKG_VERSION"))
         .fetch_one(&mut *tx)
         .await?
         .0;
@@ -242,6 +244,22 @@ impl Store {
         .await?;
         history::note(&mut tx, id, "status", &serde_json::json!({"status": status, "attempt": attempt})).await?;
         history::log(&mut tx, id, attempt, now, "info", "given back unfinished: its worker stops").await?;
+        tx.commit().await?;
+        Ok(())
+    }
+
+    /// Notes what an attempt computes from, where that is no more what it was when the job was accepted.
+    ///
+    /// # Errors
+    /// [`StoreError::Fenced`] where the attempt counts no more: then nothing is written.
+    pub async fn set_input_hash(&self, id: Uuid, attempt: u32, input_hash: &str) -> Result<()> {
+        let mut tx = self.begin().await?;
+        fence(&mut tx, id, attempt).await?;
+        sqlx::query("UPDATE job SET input_hash = ? WHERE id = ?")
+            .bind(input_hash)
+            .bind(id.to_string())
+            .execute(&mut *tx)
+            .await?;
         tx.commit().await?;
         Ok(())
     }
