@@ -7,6 +7,7 @@ pub mod keys;
 pub mod models;
 pub mod observations;
 pub mod stations;
+pub mod vallen;
 
 use std::{
     fs::{File, TryLockError},
