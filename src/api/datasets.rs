@@ -59,13 +59,38 @@ pub struct ListQuery {
     cursor: Option<Uuid>,
 }
 
+/// A number of the address with a rule.
+macro_rules! number {
+    ($name:ident, $rule:literal, $good:expr) => {
+        #[derive(Clone, Copy, Deserialize)]
+        #[serde(try_from = "f64")]
+        struct $name(f64);
+
+        impl TryFrom<f64> for $name {
+            type Error = String;
+
+            fn try_from(value: f64) -> Result<Self, String> {
+                let good: fn(f64) -> bool = $good;
+                if value.is_finite() && good(value) {
+                    Ok(Self(value))
+                } else {
+                    Err(format!("must be {}, not {value}", $rule))
+                }
+            }
+        }
+    };
+}
+
+number!(Positive, "a finite number above 0", |value| value > 0.0);
+number!(NotNegative, "a finite number of at least 0", |value| value >= 0.0);
+
 /// What is said of a file.
 #[derive(Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct UploadQuery {
     /// Name for humans, 1 to 200 characters.
-    #[param(value_type = String, min_length = 1, max_length = 200, example = "single crystal, -10 degC")]
+    #[param(inline)]
     name: DatasetName,
     /// Unit of the amplitudes: `v`, `mv`, `uv` (behind the preamplifier) or `db_ae` (re 1 uV at the sensor). Needed wherever
     /// the column's name does not say it: it is never guessed.
@@ -82,8 +107,8 @@ pub struct UploadQuery {
     temperature_c: Option<f64>,
     /// Mean grain size, mm; left out for a single crystal.
     #[serde(default)]
-    #[param(exclusive_minimum = 0)]
-    grain_size_mm: Option<f64>,
+    #[param(value_type = Option<f64>, exclusive_minimum = 0)]
+    grain_size_mm: Option<Positive>,
     /// Applied stress, MPa.
     #[serde(default)]
     stress_mpa: Option<f64>,
@@ -96,28 +121,28 @@ pub struct UploadQuery {
     preamp_gain_db: Option<f64>,
     /// Detection threshold behind the preamplifier, V; of waveforms the one that hits are found with.
     #[serde(default)]
-    #[param(exclusive_minimum = 0)]
-    threshold_v: Option<f64>,
+    #[param(value_type = Option<f64>, exclusive_minimum = 0)]
+    threshold_v: Option<Positive>,
     /// Of waveforms: hit definition time T1, s.
     #[serde(default)]
-    #[param(exclusive_minimum = 0)]
-    hit_definition_s: Option<f64>,
+    #[param(value_type = Option<f64>, exclusive_minimum = 0)]
+    hit_definition_s: Option<Positive>,
     /// Of waveforms: hit lock-out time T2, s.
     #[serde(default)]
-    #[param(minimum = 0)]
-    hit_lockout_s: Option<f64>,
+    #[param(value_type = Option<f64>, minimum = 0)]
+    hit_lockout_s: Option<NotNegative>,
     /// Of waveforms: peak definition time, s; left out: the whole hit is searched.
     #[serde(default)]
-    #[param(exclusive_minimum = 0)]
-    peak_definition_s: Option<f64>,
+    #[param(value_type = Option<f64>, exclusive_minimum = 0)]
+    peak_definition_s: Option<Positive>,
     /// Of NPY: samples a second, Hz.
     #[serde(default)]
-    #[param(exclusive_minimum = 0)]
-    sample_rate_hz: Option<f64>,
+    #[param(value_type = Option<f64>, exclusive_minimum = 0)]
+    sample_rate_hz: Option<Positive>,
     /// Of WAV: volts of the largest sample that the file can hold.
     #[serde(default)]
-    #[param(exclusive_minimum = 0)]
-    full_scale_v: Option<f64>,
+    #[param(value_type = Option<f64>, exclusive_minimum = 0)]
+    full_scale_v: Option<Positive>,
 }
 
 /// A data set.
@@ -277,13 +302,14 @@ pub async fn create_dataset(
     caller: Caller,
     request: Request,
 ) -> ApiResult<Response> {
+    let threshold_v = query.threshold_v.map(|value| value.0);
     let metadata = Metadata {
         temperature_c: query.temperature_c,
-        grain_size_mm: query.grain_size_mm,
+        grain_size_mm: query.grain_size_mm.map(|value| value.0),
         stress_mpa: query.stress_mpa,
         phase: query.phase,
         preamp_gain_db: query.preamp_gain_db,
-        threshold_v: query.threshold_v,
+        threshold_v,
         ..Metadata::default()
     };
     metadata.check().map_err(wrong_metadata("", Code::InvalidParameter))?;
@@ -296,12 +322,12 @@ pub async fn create_dataset(
         options: ReadOptions {
             amplitude_unit: query.amplitude_unit,
             wave: WaveOptions {
-                threshold_v: query.threshold_v,
-                hit_definition_s: query.hit_definition_s,
-                hit_lockout_s: query.hit_lockout_s,
-                peak_definition_s: query.peak_definition_s,
-                sample_rate_hz: query.sample_rate_hz,
-                full_scale_v: query.full_scale_v,
+                threshold_v,
+                hit_definition_s: query.hit_definition_s.map(|value| value.0),
+                hit_lockout_s: query.hit_lockout_s.map(|value| value.0),
+                peak_definition_s: query.peak_definition_s.map(|value| value.0),
+                sample_rate_hz: query.sample_rate_hz.map(|value| value.0),
+                full_scale_v: query.full_scale_v.map(|value| value.0),
             },
         },
         body: DatasetBody { name: query.name, metadata },

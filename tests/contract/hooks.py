@@ -41,7 +41,6 @@ EXPLAINED = {
         "malformed-file": {""},
         "dataset-refused": {"", "/amplitude_unit", "/threshold_v", "/hit_definition_s", "/hit_lockout_s",
                             "/peak_definition_s", "/sample_rate_hz", "/full_scale_v"},
-        "invalid-parameter": {"/stress_mpa", "/preamp_gain_db", "/temperature_c"},
     },
     "put_dataset": {"precondition-failed": {""}},
     "delete_dataset": {"precondition-failed": {""}},

@@ -341,7 +341,7 @@ impl Plot {
             drawn.label(short(label, 60)).legend(move |(x, y)| match mark {
                 Mark::Dots => Circle::new((x + 26, y), 7, colour.filled()).into_dyn(),
                 Mark::Line => PathElement::new([(x + 4, y), (x + 48, y)], stroke).into_dyn(),
-                Mark::Dashes => DashedPathElement::new([(x + 4, y), (x + 48, y)].into_iter(), 14, 9, stroke).into_dyn(),
+                Mark::Dashes => DashedPathElement::new([(x + 4, y), (x + 48, y)], 14, 9, stroke).into_dyn(),
             });
         }
         Ok(())
