@@ -4,6 +4,7 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, Parser, Subcommand};
 use firn::{
+    analyse::{self, Analyse},
     api::openapi,
     clock,
     config::{EngineAddress, Settings},
@@ -32,6 +33,8 @@ enum Command {
     /// Make, list and revoke the keys of the API
     #[command(subcommand)]
     Key(Key),
+    /// Analyse a file of acoustic emission and print what was found as JSON
+    Analyse(Box<Analyse>),
     /// Print the OpenAPI document
     Openapi,
 }
@@ -108,6 +111,7 @@ fn main() -> ExitCode {
         Command::Serve(serve) => block_on(run_server(*serve)),
         Command::Worker(work) => block_on(run_worker(*work)),
         Command::Key(key) => block_on(run_key(key)),
+        Command::Analyse(options) => analyse::run(&options).map(|found| print(&found)),
         Command::Openapi => {
             print(openapi::text().trim_end());
             Ok(())

@@ -25,7 +25,10 @@ use crate::{
         problem::{Code, Problem},
     },
     formats::{
-        emission::columns::{self, Layout},
+        emission::{
+            MOST_ROWS,
+            columns::{self, Layout},
+        },
         figures::{self, ImageFormat},
     },
     science::emission::catalogue::Catalogue,
@@ -43,7 +46,20 @@ pub struct HitsQuery {
     /// Where the page begins: `next` of the page before.
     #[serde(default)]
     #[param(value_type = Option<u64>, minimum = 0, maximum = 5_000_000)]
-    cursor: Option<u64>,
+    cursor: Option<RowNumber>,
+}
+
+/// The number of a hit, from 0.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(try_from = "u64")]
+struct RowNumber(u64);
+
+impl TryFrom<u64> for RowNumber {
+    type Error = String;
+
+    fn try_from(row: u64) -> Result<Self, String> {
+        if row <= MOST_ROWS as u64 { Ok(Self(row)) } else { Err(format!("must be from 0 to {MOST_ROWS}, not {row}")) }
+    }
 }
 
 /// A page of hits.
@@ -149,7 +165,7 @@ pub async fn list_hits(
     let dataset = find(&state, path.dataset).await?;
     let limit = Limit::or_default(query.limit);
     let total = dataset.description.events as u64;
-    let first = query.cursor.unwrap_or(0).min(total);
+    let first = query.cursor.map_or(0, |row| row.0).min(total);
     let to = total.min(first + u64::from(limit));
     let page = rows(&state, &dataset, first, to).await?;
     let next = (to < total).then_some(to);

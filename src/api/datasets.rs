@@ -24,10 +24,10 @@ use super::{
 use crate::{
     clock,
     domain::{
-        dataset::{ColumnStatistics, Dataset, DatasetBody, DatasetName, Source},
+        dataset::{ColumnStatistics, Dataset, DatasetBody, DatasetName, Source, WaveformOrigin},
         problem::{Code, Problem},
     },
-    formats::emission::{AmplitudeUnit, FileFormat, ReadOptions},
+    formats::emission::{AmplitudeUnit, FileFormat, ReadOptions, WaveOptions},
     jobs::intake::{self, Upload},
     science::emission::{
         EmissionError,
@@ -59,13 +59,38 @@ pub struct ListQuery {
     cursor: Option<Uuid>,
 }
 
+/// A number of the address with a rule.
+macro_rules! number {
+    ($name:ident, $rule:literal, $good:expr) => {
+        #[derive(Clone, Copy, Deserialize)]
+        #[serde(try_from = "f64")]
+        struct $name(f64);
+
+        impl TryFrom<f64> for $name {
+            type Error = String;
+
+            fn try_from(value: f64) -> Result<Self, String> {
+                let good: fn(f64) -> bool = $good;
+                if value.is_finite() && good(value) {
+                    Ok(Self(value))
+                } else {
+                    Err(format!("must be {}, not {value}", $rule))
+                }
+            }
+        }
+    };
+}
+
+number!(Positive, "a finite number above 0", |value| value > 0.0);
+number!(NotNegative, "a finite number of at least 0", |value| value >= 0.0);
+
 /// What is said of a file.
 #[derive(Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct UploadQuery {
     /// Name for humans, 1 to 200 characters.
-    #[param(value_type = String, min_length = 1, max_length = 200, example = "single crystal, -10 degC")]
+    #[param(inline)]
     name: DatasetName,
     /// Unit of the amplitudes: `v`, `mv`, `uv` (behind the preamplifier) or `db_ae` (re 1 uV at the sensor). Needed wherever
     /// the column's name does not say it: it is never guessed.
@@ -74,7 +99,7 @@ pub struct UploadQuery {
     amplitude_unit: Option<AmplitudeUnit>,
     /// What the file is; left out: what `Content-Type` says, or else its first bytes.
     #[serde(default)]
-    #[param(value_type = Option<String>, pattern = "^(csv|tsv)$")]
+    #[param(value_type = Option<String>, pattern = "^(csv|tsv|parquet|pridb|tradb|dta|wav|npy)$")]
     format: Option<FileFormat>,
     /// Temperature of the test, degC.
     #[serde(default)]
@@ -82,8 +107,8 @@ pub struct UploadQuery {
     temperature_c: Option<f64>,
     /// Mean grain size, mm; left out for a single crystal.
     #[serde(default)]
-    #[param(exclusive_minimum = 0)]
-    grain_size_mm: Option<f64>,
+    #[param(value_type = Option<f64>, exclusive_minimum = 0)]
+    grain_size_mm: Option<Positive>,
     /// Applied stress, MPa.
     #[serde(default)]
     stress_mpa: Option<f64>,
@@ -94,10 +119,30 @@ pub struct UploadQuery {
     /// Gain of the preamplifier, dB.
     #[serde(default)]
     preamp_gain_db: Option<f64>,
-    /// Detection threshold behind the preamplifier, V.
+    /// Detection threshold behind the preamplifier, V; of waveforms the one that hits are found with.
     #[serde(default)]
-    #[param(exclusive_minimum = 0)]
-    threshold_v: Option<f64>,
+    #[param(value_type = Option<f64>, exclusive_minimum = 0)]
+    threshold_v: Option<Positive>,
+    /// Of waveforms: hit definition time T1, s.
+    #[serde(default)]
+    #[param(value_type = Option<f64>, exclusive_minimum = 0)]
+    hit_definition_s: Option<Positive>,
+    /// Of waveforms: hit lock-out time T2, s.
+    #[serde(default)]
+    #[param(value_type = Option<f64>, minimum = 0)]
+    hit_lockout_s: Option<NotNegative>,
+    /// Of waveforms: peak definition time, s; left out: the whole hit is searched.
+    #[serde(default)]
+    #[param(value_type = Option<f64>, exclusive_minimum = 0)]
+    peak_definition_s: Option<Positive>,
+    /// Of NPY: samples a second, Hz.
+    #[serde(default)]
+    #[param(value_type = Option<f64>, exclusive_minimum = 0)]
+    sample_rate_hz: Option<Positive>,
+    /// Of WAV: volts of the largest sample that the file can hold.
+    #[serde(default)]
+    #[param(value_type = Option<f64>, exclusive_minimum = 0)]
+    full_scale_v: Option<Positive>,
 }
 
 /// A data set.
@@ -123,6 +168,8 @@ pub struct DatasetResource {
     notes: Vec<String>,
     /// What it was made from.
     source: Source,
+    /// How its hits were found in waveforms, and how they hang on threshold and time constants; null where they came as hits.
+    waveform: Option<WaveformOrigin>,
     /// What is known about the test.
     metadata: Metadata,
     /// What is true of it, where a generator made it; null for measurements.
@@ -165,6 +212,7 @@ impl From<Dataset> for DatasetResource {
             ignored_columns: dataset.description.ignored_columns,
             notes: dataset.description.notes,
             source: dataset.description.source,
+            waveform: dataset.description.waveform,
             metadata: dataset.body.metadata,
             truth: dataset.truth,
             job: dataset.job,
@@ -210,9 +258,13 @@ fn format_of(headers: &HeaderMap) -> Result<Option<FileFormat>, Problem> {
         "" | "application/octet-stream" => Ok(None),
         "text/csv" => Ok(Some(FileFormat::Csv)),
         "text/tab-separated-values" => Ok(Some(FileFormat::Tsv)),
+        "application/vnd.apache.parquet" => Ok(Some(FileFormat::Parquet)),
+        "application/vnd.sqlite3" => Ok(Some(FileFormat::Pridb)),
+        "audio/wav" => Ok(Some(FileFormat::Wav)),
         _ => {
             let detail = format!(
-                "Content-Type must be text/csv, text/tab-separated-values or application/octet-stream, not {essence:?}"
+                "Content-Type must be text/csv, text/tab-separated-values, application/vnd.apache.parquet, \
+                 application/vnd.sqlite3, audio/wav or application/octet-stream, not {essence:?}"
             );
             Err(Problem::new(Code::UnsupportedMediaType, detail))
         }
@@ -229,14 +281,18 @@ fn wrong_metadata(prefix: &str, code: Code) -> impl Fn(EmissionError) -> Problem
     }
 }
 
-/// Takes a file of hits in: CSV or TSV. The file is read and checked in whole before anything is stored; a row at fault is named by
-/// its line. Columns have their canonical names (`time_s`, `amplitude_v` or `amplitude_db`, `duration_us`, `rise_time_us`,
+/// Takes a file of hits in: CSV, TSV (also with the lines that Mistras puts before the header), Parquet, Vallen `.pridb`, Mistras
+/// `.DTA` (`format=dta`); or of waveforms, in which hits are found: WAV, NPY, Vallen `.tradb` (`format=tradb`). The file is
+/// read and checked in whole before anything is stored; a row at fault is named by its line. Columns have their canonical names (`time_s`, `amplitude_v` or `amplitude_db`, `duration_us`, `rise_time_us`,
 /// `counts`, `energy_eu`, `channel`, `threshold_db`, `x_m`, `y_m`, `z_m`, `strain`, `stress_mpa`, `phase`) or one of the
 /// usual ones; what is not known is left out and listed.
 #[utoipa::path(post, path = "/v1/datasets", operation_id = "create_dataset", tag = "datasets", params(UploadQuery),
     request_body(content(
         (String = "text/csv", example = "time_s,amplitude_v,duration_us\n0.5,0.012,340\n"),
         (String = "text/tab-separated-values"),
+        (String = "application/vnd.apache.parquet"),
+        (String = "application/vnd.sqlite3"),
+        (String = "audio/wav"),
         (String = "application/octet-stream"))),
     responses((status = 201, description = "The data set; `Location` is its address.", body = DatasetResource,
                headers(("Location" = String, description = "The data set.")))))]
@@ -246,13 +302,14 @@ pub async fn create_dataset(
     caller: Caller,
     request: Request,
 ) -> ApiResult<Response> {
+    let threshold_v = query.threshold_v.map(|value| value.0);
     let metadata = Metadata {
         temperature_c: query.temperature_c,
-        grain_size_mm: query.grain_size_mm,
+        grain_size_mm: query.grain_size_mm.map(|value| value.0),
         stress_mpa: query.stress_mpa,
         phase: query.phase,
         preamp_gain_db: query.preamp_gain_db,
-        threshold_v: query.threshold_v,
+        threshold_v,
         ..Metadata::default()
     };
     metadata.check().map_err(wrong_metadata("", Code::InvalidParameter))?;
@@ -262,7 +319,17 @@ pub async fn create_dataset(
     let upload = Upload {
         path: spooled.path().to_owned(),
         format,
-        options: ReadOptions { amplitude_unit: query.amplitude_unit },
+        options: ReadOptions {
+            amplitude_unit: query.amplitude_unit,
+            wave: WaveOptions {
+                threshold_v,
+                hit_definition_s: query.hit_definition_s.map(|value| value.0),
+                hit_lockout_s: query.hit_lockout_s.map(|value| value.0),
+                peak_definition_s: query.peak_definition_s.map(|value| value.0),
+                sample_rate_hz: query.sample_rate_hz.map(|value| value.0),
+                full_scale_v: query.full_scale_v.map(|value| value.0),
+            },
+        },
         body: DatasetBody { name: query.name, metadata },
         bytes: spooled.bytes,
         sha256: spooled.sha256.clone(),

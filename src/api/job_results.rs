@@ -82,7 +82,8 @@ pub async fn get_results(
 /// One output of a job: JSON where it stands in the results document, else its bytes, of which `Range` takes a part.
 #[utoipa::path(get, path = "/v1/jobs/{jobID}/results/{output}", operation_id = "get_job_output", tag = "jobs",
     params(OutputPath, ("Range" = Option<String>, Header, description = "`bytes=first-last`, of an output by reference")),
-    responses((status = 200, description = "The output.", content((Value = "application/json"), (String = "application/octet-stream"))),
+    responses((status = 200, description = "The output.", content((Value = "application/json"), (String = "application/octet-stream"),
+        (String = "image/svg+xml"), (String = "image/png"))),
               (status = 206, description = "A part of the output.", content_type = "application/octet-stream", body = String)))]
 pub async fn get_output(
     State(state): State<AppState>,

@@ -9,7 +9,10 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use super::station::StationName;
-use crate::science::emission::catalogue::{Catalogue, Column, Metadata, QualityFlag, quality};
+use crate::science::emission::{
+    catalogue::{Catalogue, Column, Metadata, QualityFlag, quality},
+    hits::{HitOptions, SensitivityPoint},
+};
 
 /// The name of a data set: as that of a station.
 pub type DatasetName = StationName;
@@ -76,6 +79,22 @@ pub struct Description {
     pub notes: Vec<String>,
     /// What it was made from.
     pub source: Source,
+    /// How its hits were found in waveforms; null where they came as hits.
+    pub waveform: Option<WaveformOrigin>,
+}
+
+/// How hits were found in waveforms.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct WaveformOrigin {
+    /// Stretches of waveform.
+    pub waveforms: usize,
+    /// Samples of all of them.
+    pub samples: usize,
+    /// Threshold and time constants.
+    pub settings: HitOptions,
+    /// How number, duration and exponent of the hits change with them: each of three thresholds, hit definition times and
+    /// lock-out times with each.
+    pub sensitivity: Vec<SensitivityPoint>,
 }
 
 /// A data set as the store keeps it; its columns lie apart.
@@ -125,6 +144,7 @@ impl Description {
             ignored_columns,
             notes,
             source,
+            waveform: None,
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{
     fs::File,
-    io::{BufReader, Read as _, Seek as _},
+    io::{BufReader, Read as _},
     path::{Path, PathBuf},
 };
 
@@ -14,11 +14,15 @@ use crate::{
         ids::new_id,
         problem::{Code, FieldError, Problem},
     },
-    formats::emission::{FileError, FileFormat, ReadOptions, Reading, columns, text},
+    formats::emission::{
+        AmplitudeUnit, FileError, FileFormat, MOST_ROWS, ReadOptions, Reading, columns, mistras, parquet, text,
+        waves::{self, Wave},
+    },
     science::emission::{
         EmissionError,
         catalogue::{Catalogue, Metadata},
     },
+    store::{self, vallen::VallenError},
 };
 
 /// Bytes that are read at once.
@@ -52,42 +56,93 @@ pub struct Taken {
     pub description: Description,
 }
 
-/// Reads a file as a catalogue.
+/// Reads a file as a catalogue. It waits for databases: call it where waiting is allowed, on a thread of its own.
 ///
 /// # Errors
 /// [`FileError`].
 pub fn read(upload: &Upload) -> Result<Taken, FileError> {
-    let (format, reading) = read_file(&upload.path, upload.format, &upload.options)?;
+    let format = format_of(&upload.path, upload.format)?;
+    let reading = read_file(&upload.path, format, &upload.options)?;
     let source = Source { format: format.name().into(), bytes: upload.bytes, sha256: upload.sha256.clone() };
     described(reading, upload.body.metadata.clone(), source)
 }
 
 fn described(mut reading: Reading, metadata: Metadata, source: Source) -> Result<Taken, FileError> {
     let (ignored, notes) = (std::mem::take(&mut reading.ignored_columns), std::mem::take(&mut reading.notes));
+    let waveform = reading.waveform.take();
     let catalogue = reading.into_catalogue(metadata)?;
-    let description = Description::of(&catalogue, ignored, notes, source);
+    let description = Description { waveform, ..Description::of(&catalogue, ignored, notes, source) };
     Ok(Taken { catalogue, description })
 }
 
-fn read_file(
-    path: &Path,
-    format: Option<FileFormat>,
-    options: &ReadOptions,
-) -> Result<(FileFormat, Reading), FileError> {
-    let mut file = File::open(path)?;
-    let format = match format {
-        Some(format) => format,
-        None => {
-            let mut head = Vec::new();
-            file.by_ref().take(64).read_to_end(&mut head)?;
-            file.rewind()?;
-            FileFormat::of_content(&head)
+/// What a file is: what was said of it, or what its first bytes say.
+fn format_of(path: &Path, said: Option<FileFormat>) -> Result<FileFormat, FileError> {
+    if let Some(format) = said {
+        return Ok(format);
+    }
+    let mut head = Vec::new();
+    File::open(path)?.take(64).read_to_end(&mut head)?;
+    Ok(FileFormat::of_content(&head))
+}
+
+fn read_file(path: &Path, format: FileFormat, options: &ReadOptions) -> Result<Reading, FileError> {
+    let file = File::open(path)?;
+    let buffered = |file: File| BufReader::with_capacity(BUFFER, file);
+    match format {
+        FileFormat::Csv | FileFormat::Tsv => text::read(buffered(file), options),
+        FileFormat::Parquet => parquet::read(file, options),
+        FileFormat::Dta => mistras::read(buffered(file), options),
+        FileFormat::Wav => waves::into_hits(&waves::read_wav(buffered(file), &options.wave)?, &options.wave),
+        FileFormat::Npy => waves::into_hits(&waves::read_npy(file, options)?, &options.wave),
+        FileFormat::Pridb => pridb(path, options),
+        FileFormat::Tradb => tradb(path, options),
+    }
+}
+
+/// Waits for a database from a thread that may wait.
+fn wait<T>(work: impl Future<Output = T>) -> Result<T, FileError> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    Ok(runtime.block_on(work))
+}
+
+fn vallen(format: FileFormat, error: VallenError) -> FileError {
+    match error {
+        VallenError::Io(error) => FileError::Io(error),
+        VallenError::TooMany(_) => FileError::TooManyRows,
+        error => FileError::Malformed { format: format.name(), detail: error.to_string() },
+    }
+}
+
+fn pridb(path: &Path, options: &ReadOptions) -> Result<Reading, FileError> {
+    if let Some(said) = options.amplitude_unit.filter(|unit| *unit != AmplitudeUnit::Volt) {
+        let named = AmplitudeUnit::Volt.name();
+        return Err(FileError::MixedUnits { column: "Amp".into(), named, said: said.name() });
+    }
+    let hits = wait(store::vallen::read_hits(path, MOST_ROWS))?.map_err(|error| vallen(FileFormat::Pridb, error))?;
+    let mut notes = vec!["amplitudes are those at the sensor: the file has the gain taken out".to_owned()];
+    if hits.test_pulses > 0 {
+        notes.push(format!("{} test pulses were left out", hits.test_pulses));
+    }
+    if hits.saturated > 0 {
+        notes.push(format!("{} hits are marked as saturated by the recorder", hits.saturated));
+    }
+    Ok(Reading { columns: hits.columns, ignored_columns: hits.ignored, notes, waveform: None })
+}
+
+fn tradb(path: &Path, options: &ReadOptions) -> Result<Reading, FileError> {
+    let (mut found, mut samples) = (Vec::new(), 0);
+    let take = |record: store::vallen::Record| {
+        let counts = waves::counts(record.format, &record.data, record.volts)?;
+        samples += counts.len();
+        if samples > waves::MOST_SAMPLES {
+            return Err(FileError::TooManySamples.to_string());
         }
+        let (channel, rate_hz, start_s) = (record.channel, record.rate_hz, record.start_s);
+        found.push(Wave { channel, rate_hz, start_s, samples: counts });
+        Ok(())
     };
-    let reading = match format {
-        FileFormat::Csv | FileFormat::Tsv => text::read(BufReader::with_capacity(BUFFER, file), options)?,
-    };
-    Ok((format, reading))
+    wait(store::vallen::read_waveforms(path, take))?.map_err(|error| vallen(FileFormat::Tradb, error))?;
+    waves::into_hits(&found, &options.wave)
 }
 
 /// Reads a file and stores it as a data set, whole or not at all.
@@ -138,7 +193,8 @@ pub fn refused(error: &FileError) -> Problem {
     match error {
         FileError::Io(error) => Problem::internal(error),
         FileError::Malformed { .. } => Problem::new(Code::MalformedFile, detail),
-        FileError::TooManyRows => Problem::new(Code::PayloadTooLarge, detail),
+        FileError::Needed { option, .. } => field(&column(option), "needed"),
+        FileError::TooManyRows | FileError::TooManySamples => Problem::new(Code::PayloadTooLarge, detail),
         FileError::NoHeader(_) => field("", "no_header"),
         FileError::Empty => field("", "no_hits"),
         FileError::NoUnit { .. } => field("/amplitude_unit", "unit_unknown"),

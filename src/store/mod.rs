@@ -9,6 +9,7 @@ pub mod models;
 pub mod observations;
 pub mod selections;
 pub mod stations;
+pub mod vallen;
 
 use std::{
     fs::{File, TryLockError},

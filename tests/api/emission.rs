@@ -1,6 +1,6 @@
 //! A physicist sends hits in, looks at them, analyses and compares them, and is told what is wrong with a file.
 
-use std::fmt::Write as _;
+use std::{fmt::Write as _, io::Write as _};
 
 use firn::science::emission::{
     catalogue::Column,
@@ -9,7 +9,8 @@ use firn::science::emission::{
 use serde_json::{Value, json};
 
 use crate::support::{
-    Answer, TestApp,
+    Answer, TestApp, app,
+    binary::{self, Serving},
     trained::{id, until},
 };
 
@@ -196,6 +197,125 @@ async fn a_file_that_is_too_large_or_breaks_off_leaves_nothing() {
         tokio::time::sleep(std::time::Duration::from_millis(20)).await;
     }
     assert_eq!(std::fs::read_dir(app.data_dir().join("uploads")).unwrap().count(), 0);
+    assert_eq!(app.rows().await["dataset"], 0);
+}
+
+#[tokio::test]
+async fn a_server_that_is_killed_in_an_upload_has_nothing_of_it() {
+    let data = app::data_dir();
+    let mut server = Serving::start(data.path(), &[]);
+    let mut stream = std::net::TcpStream::connect(server.address()).unwrap();
+    let rows = "1,0.1\n".repeat(500_000);
+    let head = format!(
+        "POST /v1/datasets?name=a HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/csv\r\nContent-Length: {}\r\n\r\n",
+        2 * rows.len()
+    );
+    stream.write_all(head.as_bytes()).unwrap();
+    stream.write_all(b"time_s,amplitude_v\n").unwrap();
+    stream.write_all(rows.as_bytes()).unwrap();
+    let uploads = data.path().join("uploads");
+    let on_its_way = || {
+        std::fs::read_dir(&uploads)
+            .is_ok_and(|files| files.flatten().any(|file| file.metadata().is_ok_and(|about| about.len() > 0)))
+    };
+    for _ in 0..500 {
+        if on_its_way() {
+            break;
+        }
+        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+    }
+    assert!(on_its_way(), "half of the file is on the disk");
+    server.kill();
+    let again = Serving::start(data.path(), &[]);
+    assert_eq!(again.read("/v1/datasets").await["datasets"], json!([]));
+    assert!(!uploads.exists(), "what was on its way is swept away");
+}
+
+#[tokio::test]
+async fn the_command_line_gives_what_a_job_gives() {
+    let app = TestApp::start().await;
+    let options = SyntheticOptions { events: 400, ..SyntheticOptions::default() };
+    let analyses =
+        json!([{"kind": "amplitude_distribution", "model": "power_law", "replicates": 50}, {"kind": "waiting_times"}]);
+    let dataset = uploaded(&app, "a", &options, 3).await;
+    let (_, results) =
+        run(&app, "emission-analysis", &json!({"dataset": dataset["id"], "analyses": analyses, "seed": 5})).await;
+
+    let folder = app::data_dir();
+    let (file, figures) = (folder.path().join("hits.csv"), folder.path().join("figures"));
+    std::fs::write(&file, csv(&options, 3)).unwrap();
+    let (file, figures) = (file.to_str().unwrap(), figures.to_str().unwrap());
+    let arguments = ["analyse", file, "--preamp-gain-db", "40", "--seed", "5", "--figures", figures];
+    let wanted: Vec<String> = analyses.as_array().unwrap().iter().map(ToString::to_string).collect();
+    let wanted: Vec<&str> = wanted.iter().flat_map(|one| ["--analysis", one.as_str()]).collect();
+    let ran = binary::run(&[&arguments[..], &wanted].concat());
+    assert!(ran.status.success(), "{ran:?}");
+    let printed: Value = serde_json::from_slice(&ran.stdout).unwrap();
+    assert_eq!(printed["analyses"], results["analyses"]);
+    assert_eq!(printed["figures"], results["figures"]);
+    assert_eq!(printed["description"]["columns"], dataset["columns"]);
+    for name in ["0-amplitude-density.svg", "0-amplitude-ccdf.svg", "1-waiting-times.svg"] {
+        assert!(std::fs::read_to_string(format!("{figures}/{name}")).unwrap().starts_with("<svg "), "{name}");
+    }
+    // all that the columns allow, and what they do not
+    let all = binary::run(&["analyse", file, "--analysis", "duration_scaling"]);
+    assert!(all.status.success());
+    for (wrong, words) in [
+        (vec!["analyse", file, "--analysis", "wavelets"], "phase_comparison"),
+        (vec!["analyse", file, "--analysis", "source_model"], "sensitivity_v_per_pa"),
+        (vec!["analyse", file, "--amplitude-unit", "mv"], "mixed units"),
+        (vec!["analyse", "/nowhere.csv"], "nowhere.csv"),
+    ] {
+        let refused = binary::run(&wrong);
+        assert!(!refused.status.success());
+        assert!(String::from_utf8(refused.stderr).unwrap().contains(words), "{wrong:?}");
+    }
+}
+
+#[tokio::test]
+async fn waveforms_become_hits_with_a_sensitivity_scan() {
+    let app = TestApp::start().await;
+    // bursts of 1 ms of 100 kHz, one every 10 ms, with falling peaks
+    let samples: Vec<f64> = (0..400_000)
+        .map(|at| {
+            let (burst, within) = (at / 10_000, at % 10_000);
+            let peak = 2.0 / f64::from(burst + 1);
+            if within < 1000 { if within % 10 < 5 { peak } else { -peak } } else { 0.0 }
+        })
+        .collect();
+    let mut file = b"\x93NUMPY\x01\x00".to_vec();
+    let mut header = "{'descr': '<f8', 'fortran_order': False, 'shape': (400000,), }".to_owned();
+    while (10 + header.len() + 1) % 64 != 0 {
+        header.push(' ');
+    }
+    header.push('\n');
+    file.extend(u16::try_from(header.len()).unwrap().to_le_bytes());
+    file.extend(header.as_bytes());
+    samples.iter().for_each(|sample| file.extend(sample.to_le_bytes()));
+    let query =
+        "name=waves&amplitude_unit=v&sample_rate_hz=1e6&threshold_v=0.01&hit_definition_s=0.001&hit_lockout_s=0.0005";
+    let post = |query: &str| app.post(&format!("{DATASETS}?{query}")).body("application/octet-stream", file.clone());
+    let dataset = post(query).await.json(201);
+    assert_eq!((&dataset["events"], &dataset["source"]["format"]), (&json!(40), &json!("npy")));
+    let waveform = &dataset["waveform"];
+    assert_eq!((&waveform["samples"], waveform["sensitivity"].as_array().unwrap().len()), (&json!(400_000), 27));
+    let hits = app.read(&format!("{DATASETS}/{}/hits", dataset["id"].as_str().unwrap())).await;
+    assert_eq!(hits["columns"]["amplitude_v"][1], 1.0);
+    assert_eq!(hits["columns"]["time_s"][39], 0.39);
+    let bare = post("name=waves&amplitude_unit=v&sample_rate_hz=1e6&threshold_v=0.01").await;
+    assert_eq!(bare.pointers("dataset-refused"), ["/hit_definition_s"]);
+}
+
+#[tokio::test]
+async fn a_database_that_was_cut_is_refused() {
+    let app = TestApp::start().await;
+    let mut file = b"SQLite format 3\0".to_vec();
+    file.resize(4096, 0);
+    file[16..18].copy_from_slice(&4096_u16.to_be_bytes());
+    file[28..32].copy_from_slice(&9_u32.to_be_bytes());
+    let answer = app.post("/v1/datasets?name=a").body("application/vnd.sqlite3", file).await;
+    let problem = answer.problem("malformed-file");
+    assert!(problem["detail"].as_str().unwrap().contains("the file was cut"), "{problem}");
     assert_eq!(app.rows().await["dataset"], 0);
 }
 

@@ -1,22 +1,30 @@
 //! Acoustic-emission data as files: from bytes to the canonical columns of [`crate::science::emission::catalogue`].
 //!
-//! [`text`] reads CSV, TSV and the tables of Mistras, [`columns`] is how data sets are kept. Every reader gives a
-//! [`Reading`] or a [`FileError`] that names the place; none panics whatever the bytes are. Vallen's databases are read by
-//! `store::vallen`, where SQL lives.
+//! [`text`] reads CSV, TSV and the tables of Mistras, [`parquet`] Parquet, [`mistras`] `.DTA`; [`waves`] makes hits of waveforms (WAV,
+//! NPY, `.tradb`); [`columns`] is how data sets are kept. Every reader gives a [`Reading`] or a [`FileError`] that names the
+//! place; none panics whatever the bytes are. Vallen's databases are read by `store::vallen`, where SQL lives.
 
 pub mod columns;
+pub mod mistras;
 mod names;
+pub mod parquet;
+mod plan;
 pub mod text;
+pub mod waves;
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
 pub use names::{AmplitudeUnit, UnknownUnit};
+pub use waves::WaveOptions;
 
-use crate::science::emission::{
-    EmissionError,
-    catalogue::{Catalogue, Column, Metadata},
+use crate::{
+    domain::dataset::WaveformOrigin,
+    science::emission::{
+        EmissionError,
+        catalogue::{Catalogue, Column, Metadata},
+    },
 };
 
 /// Most rows that a data set may have: they are held in memory while they are read and analysed.
@@ -33,11 +41,24 @@ pub enum FileFormat {
     Csv,
     /// The same; the name for tables with tabs.
     Tsv,
+    /// Apache Parquet.
+    Parquet,
+    /// Hits of a Vallen recorder, a SQLite database.
+    Pridb,
+    /// Waveforms of a Vallen recorder, a SQLite database.
+    Tradb,
+    /// Messages of a Mistras recorder.
+    Dta,
+    /// Waveforms.
+    Wav,
+    /// Waveforms as an array of NumPy.
+    Npy,
 }
 
 impl FileFormat {
     /// Every format.
-    pub const ALL: [Self; 2] = [Self::Csv, Self::Tsv];
+    pub const ALL: [Self; 8] =
+        [Self::Csv, Self::Tsv, Self::Parquet, Self::Pridb, Self::Tradb, Self::Dta, Self::Wav, Self::Npy];
 
     /// The name that requests and descriptions use.
     #[must_use]
@@ -45,6 +66,12 @@ impl FileFormat {
         match self {
             Self::Csv => "csv",
             Self::Tsv => "tsv",
+            Self::Parquet => "parquet",
+            Self::Pridb => "pridb",
+            Self::Tradb => "tradb",
+            Self::Dta => "dta",
+            Self::Wav => "wav",
+            Self::Npy => "npy",
         }
     }
 
@@ -54,10 +81,17 @@ impl FileFormat {
         Self::ALL.into_iter().find(|format| format.name() == name)
     }
 
-    /// What a file is by its first bytes: a table of text unless they say something else.
+    /// What a file is by its first bytes: a table of text unless they say something else. A `.tradb` begins as a `.pridb`
+    /// does, and a `.DTA` as nothing does: those must be named.
     #[must_use]
-    pub fn of_content(_head: &[u8]) -> Self {
-        Self::Csv
+    pub fn of_content(head: &[u8]) -> Self {
+        let signs: [(&[u8], Self); 4] = [
+            (b"PAR1", Self::Parquet),
+            (b"SQLite format 3\0", Self::Pridb),
+            (b"RIFF", Self::Wav),
+            (b"\x93NUMPY", Self::Npy),
+        ];
+        signs.into_iter().find(|(sign, _)| head.starts_with(sign)).map_or(Self::Csv, |(_, format)| format)
     }
 }
 
@@ -66,6 +100,8 @@ impl FileFormat {
 pub struct ReadOptions {
     /// The unit of the column of amplitudes, where its name does not say it.
     pub amplitude_unit: Option<AmplitudeUnit>,
+    /// How waveforms become hits.
+    pub wave: WaveOptions,
 }
 
 /// What was found in a file.
@@ -77,6 +113,13 @@ pub struct Reading {
     pub ignored_columns: Vec<String>,
     /// What was done to read the file, in sentences for whoever sent it.
     pub notes: Vec<String>,
+    /// How the hits were found in waveforms, where they were.
+    pub waveform: Option<WaveformOrigin>,
+}
+
+/// The names of all columns, in words.
+fn canonical_names() -> String {
+    Column::ALL.map(Column::name).join(", ")
 }
 
 impl Reading {
@@ -123,6 +166,17 @@ pub enum FileError {
     /// There is no row.
     #[error("the file holds no hits")]
     Empty,
+    /// Something must be known that the file does not say.
+    #[error("{option} is needed: {why}")]
+    Needed {
+        /// What must be said.
+        option: &'static str,
+        /// Why.
+        why: &'static str,
+    },
+    /// More samples than are held in memory.
+    #[error("the file has more than {} samples; send it in parts", waves::MOST_SAMPLES)]
+    TooManySamples,
     /// More rows than a data set may have.
     #[error("the file has more than {} rows; send it in parts", MOST_ROWS)]
     TooManyRows,

@@ -7,7 +7,8 @@ use std::{collections::BTreeMap, io::BufRead};
 
 use super::{
     FileError, MOST_FAULTS, MOST_ROWS, ReadOptions, Reading, RowFault,
-    names::{Meaning, meaning},
+    names::meaning,
+    plan::{Field, Plan},
 };
 use crate::science::emission::catalogue::Column;
 
@@ -23,7 +24,7 @@ const LONGEST_LINE: u64 = 1024 * 1024;
 pub fn read(source: impl BufRead, options: &ReadOptions) -> Result<Reading, FileError> {
     let mut lines = Lines { source, bytes: Vec::new(), number: 0 };
     let header = Header::find(&mut lines)?;
-    let Plan { fields, hit_mark, mut reading } = Plan::new(&header, options)?;
+    let Plan { fields, hit_mark, mut reading } = Plan::new(&header.fields, options)?;
     let mut table = Table::new(fields, header.fields.len());
     let mut ranges = Vec::new();
     let mut not_hits = 0_usize;
@@ -152,8 +153,7 @@ impl Header {
                 return Ok(header);
             }
         }
-        let names: Vec<&str> = Column::ALL.iter().map(|column| column.name()).collect();
-        Err(FileError::NoHeader(names.join(", ")))
+        Err(FileError::NoHeader(super::canonical_names()))
     }
 
     /// The header that `line` is: at least two of its fields, or half of them, name known columns.
@@ -166,62 +166,6 @@ impl Header {
         let known = fields.iter().filter(|field| meaning(field).is_some()).count();
         let is_header = known >= 2 || (known == 1 && fields.len() <= 2);
         is_header.then_some(Self { separator, fields })
-    }
-}
-
-/// Which field is which column.
-struct Plan {
-    fields: Vec<Field>,
-    /// The field that tells hits from other lines in exports of Mistras.
-    hit_mark: Option<usize>,
-    reading: Reading,
-}
-
-/// A field that is read.
-struct Field {
-    at: usize,
-    header: String,
-    column: Column,
-    factor: f64,
-}
-
-impl Plan {
-    fn new(header: &Header, options: &ReadOptions) -> Result<Self, FileError> {
-        let mut fields: Vec<Field> = Vec::new();
-        let mut reading = Reading::default();
-        for (at, name) in header.fields.iter().enumerate() {
-            let (column, factor) = match meaning(name) {
-                None => {
-                    reading.ignored_columns.push(name.clone());
-                    continue;
-                }
-                Some(Meaning::Values(column, factor)) => (column, factor),
-                Some(Meaning::Amplitude(named)) => match (named, options.amplitude_unit) {
-                    (Some(named), Some(said)) if named != said => {
-                        let (named, said) = (named.name(), said.name());
-                        return Err(FileError::MixedUnits { column: name.clone(), named, said });
-                    }
-                    (named, said) => named
-                        .or(said)
-                        .ok_or_else(|| FileError::NoUnit { column: name.clone() })
-                        .map(super::AmplitudeUnit::column)?,
-                },
-            };
-            let is_amplitude = |column| matches!(column, Column::AmplitudeV | Column::AmplitudeDb);
-            let same = |other: &&Field| other.column == column || is_amplitude(other.column) && is_amplitude(column);
-            if let Some(other) = fields.iter().find(same) {
-                let (first, second) = (other.header.clone(), name.clone());
-                return Err(if other.column == column {
-                    FileError::Twice { column: column.name(), first, second }
-                } else {
-                    FileError::TwoAmplitudes { first, second }
-                });
-            }
-            fields.push(Field { at, header: name.clone(), column, factor });
-        }
-        let has_mistras_time = header.fields.iter().any(|name| name.eq_ignore_ascii_case("SSSSSSSS.mmmuuun"));
-        let mark = header.fields.iter().position(|name| name.eq_ignore_ascii_case("id"));
-        Ok(Self { fields, hit_mark: mark.filter(|_| has_mistras_time), reading })
     }
 }
 
@@ -316,7 +260,7 @@ mod tests {
     use crate::formats::emission::AmplitudeUnit;
 
     fn with(text: &str, unit: Option<AmplitudeUnit>) -> Result<Reading, FileError> {
-        read(text.as_bytes(), &ReadOptions { amplitude_unit: unit })
+        read(text.as_bytes(), &ReadOptions { amplitude_unit: unit, ..ReadOptions::default() })
     }
 
     fn column(reading: &Reading, column: Column) -> &[f64] {

@@ -72,11 +72,13 @@ impl Scale {
         if !self.log {
             return number(if at.abs() < 1e-9 * (self.high - self.low) { 0.0 } else { at });
         }
-        let exponent = at.round();
-        if (at - exponent).abs() > 1e-9 {
-            return number(10f64.powf(at));
+        let is_decade = |at: f64| (at - at.round()).abs() < 1e-9;
+        // powers of ten only beside powers of ten
+        if self.ticks.iter().all(|tick| is_decade(*tick)) {
+            power_of_ten(at.round() as i32)
+        } else {
+            number(10f64.powf(at))
         }
-        power_of_ten(exponent as i32)
     }
 }
 
@@ -121,7 +123,7 @@ fn linear_ticks(low: f64, high: f64) -> (Vec<f64>, Vec<f64>) {
 }
 
 /// A number in few digits.
-fn number(value: f64) -> String {
+pub fn number(value: f64) -> String {
     let size = value.abs();
     if value == 0.0 {
         return "0".into();
@@ -166,7 +168,8 @@ mod tests {
         let log = Axis::log("A").scale([0.003, 12.0].into_iter());
         assert_eq!(labels(&log), ["10⁻²", "10⁻¹", "1", "10"]);
         let narrow = Axis::log("A").scale([0.12, 0.9].into_iter());
-        assert_eq!(labels(&narrow), ["0.2", "0.5", "1"]);
+        assert_eq!(labels(&narrow), ["0.2", "0.5"]);
+        assert_eq!(labels(&Axis::log("A").scale([0.03, 0.7].into_iter())), ["0.05", "0.1", "0.2", "0.5"]);
         let closer = Axis::log("A").scale([1.31, 1.39].into_iter());
         assert!(labels(&closer).len() >= 2, "{:?}", labels(&closer));
         let wide = Axis::log("A").scale([1e-30, 1.0].into_iter());

@@ -90,25 +90,14 @@ fn trend(found: &Trend, whole: &str) -> Figure {
     let points = found.points.iter().map(|point| Point { x: point.x, y: point.y, bar: Some(point.ci95.into()) });
     let low = found.points.iter().map(|point| point.x).fold(f64::INFINITY, f64::min);
     let high = found.points.iter().map(|point| point.x).fold(f64::NEG_INFINITY, f64::max);
+    // straight on the axes of its law
     let line = found.slope.zip(found.intercept).map_or_else(Vec::new, |(slope, intercept)| {
-        let at = |step: i32| {
-            let share = f64::from(step) / 100.0;
-            match found.law.as_str() {
-                "power" => {
-                    let x = low * (high / low).powf(share);
-                    Point::new(x, (intercept + slope * x.ln()).exp())
-                }
-                "exponential" => {
-                    let x = low + share * (high - low);
-                    Point::new(x, (intercept + slope * x).exp())
-                }
-                _ => {
-                    let x = low + share * (high - low);
-                    Point::new(x, intercept + slope * x)
-                }
-            }
+        let at = |x: f64| match found.law.as_str() {
+            "power" => Point::new(x, (intercept + slope * x.ln()).exp()),
+            "exponential" => Point::new(x, (intercept + slope * x).exp()),
+            _ => Point::new(x, intercept + slope * x),
         };
-        (0..=100).map(at).collect()
+        vec![at(low), at(high)]
     });
     let law = match found.law.as_str() {
         "power" => "power of the abscissa, exponent",

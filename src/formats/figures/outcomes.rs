@@ -2,7 +2,7 @@
 
 use super::{
     Figure, Plot,
-    axes::Axis,
+    axes::{Axis, number},
     plot::{Corner, Mark, Point, Series},
 };
 use crate::science::emission::{
@@ -12,7 +12,6 @@ use crate::science::emission::{
     catalogue::{Catalogue, Column},
     correlation::CorrelationIntegral,
     duration::DurationScaling,
-    validation::Validation,
     waiting::{DensityPoint, log_density},
 };
 
@@ -51,9 +50,8 @@ pub fn of_outcome(prefix: &str, outcome: &Outcome, dataset: &str, synthetic: boo
         Outcome::Aftershocks(found) => vec![of.figure("aftershocks", aftershocks(found))],
         Outcome::Activity(found) => activity(&of, found),
         Outcome::ExponentMap(found) => map(&of, found),
-        Outcome::MonteCarloValidation(found) => vec![of.figure("validation", validation(found))],
         Outcome::PhaseComparison(found) => phases(&of, found),
-        Outcome::SourceModel(_) | Outcome::Calibration(_) => Vec::new(),
+        Outcome::MonteCarloValidation(_) | Outcome::SourceModel(_) | Outcome::Calibration(_) => Vec::new(),
     }
 }
 
@@ -75,6 +73,12 @@ pub(super) fn with_error(value: f64, se: Option<f64>) -> String {
         }
         _ => format!("{value:.3}"),
     }
+}
+
+/// A number in two significant digits.
+fn rounded(value: f64) -> String {
+    let power = 10f64.powf(value.abs().log10().floor() - 1.0);
+    number(if power > 0.0 { (value / power).round() * power } else { value })
 }
 
 fn distribution(of: &Of<'_>, found: &DistributionResult, what: &str, symbol: &str, unit: &str) -> Vec<Figure> {
@@ -223,7 +227,7 @@ fn waiting(found: &WaitingResult) -> Plot {
             Point::with_error(middle(point) / times.mean_s, point.density * times.mean_s, point.error * times.mean_s)
         };
         let verdict = if times.poisson.is_poisson { "as at random" } else { "not at random" };
-        let label = format!("A₀ ≥ {:.3e} V: {} intervals, {verdict}", times.threshold_v, times.intervals);
+        let label = format!("A₀ ≥ {} V: {} intervals, {verdict}", rounded(times.threshold_v), times.intervals);
         series.push(Series::new(label, Mark::Dots, colour, times.density.iter().map(point).collect()));
     }
     let poisson = (0..=100).map(|step| 10f64.powf(-5.0 + 0.07 * f64::from(step)));
@@ -234,7 +238,7 @@ fn waiting(found: &WaitingResult) -> Plot {
         subtitle: String::new(),
         x: Axis::log("waiting time / mean waiting time"),
         y: Axis::log("probability density × mean waiting time"),
-        legend: Corner::LowerLeft,
+        legend: Corner::UpperRight,
         series,
     }
 }
@@ -246,9 +250,9 @@ fn aftershocks(found: &Aftershocks) -> Plot {
     for (colour, class) in classes.enumerate() {
         let rate = class.rate.iter().filter(|bin| bin.events > 0);
         let points = rate.map(|bin| Point::with_error((bin.from_s * bin.to_s).sqrt(), bin.rate_per_s, bin.error_per_s));
-        let to = class.to_v.map_or_else(|| "more".to_owned(), |to| format!("{to:.1e} V"));
+        let to = class.to_v.map_or_else(|| "more".to_owned(), |to| format!("{} V", rounded(to)));
         let p = class.omori.map_or_else(String::new, |omori| format!(", p = {}", with_error(omori.p, omori.p_se)));
-        let label = format!("{:.1e} V to {to}: {} main shocks{p}", class.from_v, class.main_shocks);
+        let label = format!("{} V to {to}: {} main shocks{p}", rounded(class.from_v), class.main_shocks);
         series.push(Series::new(label, Mark::Dots, colour, points.collect()));
     }
     let exponent = found.productivity_exponent.map(|a| format!("productivity ~ A₀^{a:.2}"));
@@ -351,37 +355,6 @@ fn map(of: &Of<'_>, found: &MapResult) -> Vec<Figure> {
         ));
     }
     figures
-}
-
-fn validation(found: &Validation) -> Plot {
-    // in units of the spread, so that all parameters have one axis
-    let point = |(at, recovery): (usize, &crate::science::emission::validation::Recovery)| {
-        let bias = recovery.bias / recovery.spread;
-        Point { x: (at + 1) as f64, y: bias, bar: Some((bias - 1.0, bias + 1.0)) }
-    };
-    let told: Vec<String> = found
-        .parameters
-        .iter()
-        .zip(1..)
-        .map(|(recovery, number)| {
-            let coverage =
-                recovery.coverage95.map_or_else(String::new, |share| format!(", coverage {:.1} %", 100.0 * share));
-            format!("{number}: {} = {:.4}{coverage}", recovery.name, recovery.truth)
-        })
-        .collect();
-    Plot {
-        title: format!("Recovery of the fit from {} synthetic catalogues", found.replicates),
-        subtitle: told.join("; "),
-        x: Axis::linear("number of the parameter"),
-        y: Axis::linear("(mean estimate - truth) / spread"),
-        legend: Corner::UpperRight,
-        series: vec![Series::new(
-            "bias ± one spread",
-            Mark::Dots,
-            0,
-            found.parameters.iter().enumerate().map(point).collect(),
-        )],
-    }
 }
 
 fn phases(of: &Of<'_>, found: &PhaseComparison) -> Vec<Figure> {

@@ -130,7 +130,7 @@ impl Series {
     }
 }
 
-/// Where the legend stands.
+/// A corner of the plot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Corner {
     /// At the top, to the left.
@@ -154,7 +154,7 @@ pub struct Plot {
     pub x: Axis,
     /// Vertical axis.
     pub y: Axis,
-    /// Where the legend stands.
+    /// Where the legend stands, unless another corner holds less.
     pub legend: Corner,
     /// What is drawn, the first at the bottom.
     pub series: Vec<Series>,
@@ -244,7 +244,7 @@ impl Plot {
             self.draw_series(&mut chart, series, &x, &y)?;
         }
         if self.series.iter().any(|series| series.label.is_some()) {
-            let position = match self.legend {
+            let position = match self.freest_corner(&x, &y) {
                 Corner::UpperLeft => SeriesLabelPosition::UpperLeft,
                 Corner::UpperRight => SeriesLabelPosition::UpperRight,
                 Corner::LowerLeft => SeriesLabelPosition::LowerLeft,
@@ -262,6 +262,30 @@ impl Plot {
                 .map_err(DrawError::of)?;
         }
         area.present().map_err(DrawError::of)
+    }
+
+    /// The corner in which the legend hides the least; the one that was asked for where that is among the best.
+    fn freest_corner(&self, x: &Scale, y: &Scale) -> Corner {
+        // shares of the plot that a legend takes, about
+        let labels: Vec<&String> = self.series.iter().filter_map(|series| series.label.as_ref()).collect();
+        let letters = labels.iter().map(|label| label.chars().count().min(60)).max().unwrap_or(0);
+        let (width, height) = (0.06 + 0.0115 * letters as f64, 0.05 + 0.042 * labels.len() as f64);
+        let share = |at: f64, scale: &Scale| (at - scale.low) / (scale.high - scale.low);
+        let dots = self.series.iter().flat_map(|series| &series.points).flat_map(|point| {
+            let (low, high) = point.bar.unwrap_or((point.y, point.y));
+            [low, point.y, high].map(|y| (point.x, y))
+        });
+        let dots: Vec<(f64, f64)> =
+            dots.filter_map(|(a, b)| Some((share(self.x.place(a)?, x), share(self.y.place(b)?, y)))).collect();
+        let hidden = |corner: Corner| {
+            let left = matches!(corner, Corner::UpperLeft | Corner::LowerLeft);
+            let low = matches!(corner, Corner::LowerLeft | Corner::LowerRight);
+            let beside = |at: f64| if left { at < width } else { at > 1.0 - width };
+            let level = |at: f64| if low { at < height } else { at > 1.0 - height };
+            dots.iter().filter(|(a, b)| (0.0..=1.0).contains(b) && beside(*a) && level(*b)).count()
+        };
+        let all = [self.legend, Corner::UpperRight, Corner::UpperLeft, Corner::LowerRight, Corner::LowerLeft];
+        all.into_iter().min_by_key(|corner| hidden(*corner)).unwrap_or(self.legend)
     }
 
     /// The ranges of both axes: of the dots and their bars where there are any, else of all.
@@ -317,7 +341,7 @@ impl Plot {
             drawn.label(short(label, 60)).legend(move |(x, y)| match mark {
                 Mark::Dots => Circle::new((x + 26, y), 7, colour.filled()).into_dyn(),
                 Mark::Line => PathElement::new([(x + 4, y), (x + 48, y)], stroke).into_dyn(),
-                Mark::Dashes => DashedPathElement::new([(x + 4, y), (x + 48, y)].into_iter(), 14, 9, stroke).into_dyn(),
+                Mark::Dashes => DashedPathElement::new([(x + 4, y), (x + 48, y)], 14, 9, stroke).into_dyn(),
             });
         }
         Ok(())

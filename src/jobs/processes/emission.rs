@@ -58,8 +58,8 @@ impl Figures {
 /// What is told of a data set with every result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Head {
-    /// Its id.
-    pub id: Uuid,
+    /// Its id; none for a file that is not stored.
+    pub id: Option<Uuid>,
     /// Its name.
     pub name: String,
     /// SHA-256 (hex) of its columns.
@@ -95,7 +95,7 @@ pub async fn open(shelf: Shelf<'_>, id: Uuid, pointer: &str) -> Result<Opened, P
 
 fn head(dataset: Dataset) -> Head {
     Head {
-        id: dataset.id,
+        id: Some(dataset.id),
         name: dataset.body.name.into(),
         sha256: dataset.sha256,
         synthetic: dataset.truth.is_some(),

@@ -21,7 +21,7 @@ use uuid::Uuid;
 
 use super::{
     Accepted, Description, Failure, Shelf,
-    emission::{self, Figures, Unpacked},
+    emission::{self, Unpacked},
     invalid_inputs,
 };
 use crate::{
@@ -31,8 +31,10 @@ use crate::{
         schema,
     },
     formats::figures,
-    jobs::link::Output,
+    jobs::link::{Artifact, Output},
 };
+
+pub use super::emission::{Figures, Head};
 
 /// Its id in every address.
 pub const ID: &str = "emission-analysis";
@@ -130,7 +132,7 @@ pub fn requests(analyses: &[Value]) -> Result<Vec<Request>, Vec<FieldError>> {
 }
 
 /// Names of all analyses.
-const KINDS: [&str; 12] = [
+pub const KINDS: [&str; 12] = [
     "amplitude_distribution",
     "energy_distribution",
     "duration_scaling",
@@ -201,15 +203,44 @@ pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output,
     let (Some(head), Some(catalogue)) = (heads.first(), catalogues.first()) else {
         return Err(Failure::Science("there is no data set".into()));
     };
-    let outcomes = analysis::run(catalogue, &inputs.analyses, inputs.seed, progress).map_err(emission::failure)?;
     provenance["seed"] = json!(inputs.seed);
+    let Found { analyses, figures, artifacts } =
+        analyse(catalogue, head, &inputs.analyses, inputs.seed, inputs.figures, progress)?;
+    let results = json!({"dataset": head, "analyses": analyses, "figures": figures, "provenance": provenance});
+    Ok(Output { results, artifacts, ..Output::default() })
+}
+
+/// What the analyses of a data set give.
+#[derive(Debug)]
+pub struct Found {
+    /// The result of each analysis.
+    pub analyses: Value,
+    /// What the figures show, and which artifacts they are.
+    pub figures: Value,
+    /// The figures.
+    pub artifacts: Vec<Artifact>,
+}
+
+/// Runs analyses and draws their figures: the same for a job and for the command line.
+///
+/// # Errors
+/// [`Failure`].
+pub fn analyse(
+    catalogue: &Catalogue,
+    head: &Head,
+    requests: &[Request],
+    seed: u64,
+    wanted: Figures,
+    progress: &dyn Progress,
+) -> Result<Found, Failure> {
+    let outcomes = analysis::run(catalogue, requests, seed, progress).map_err(emission::failure)?;
     let mut drawings = Vec::new();
     for (at, outcome) in outcomes.iter().enumerate() {
         drawings.extend(figures::of_outcome(&format!("{at}-"), outcome, &head.name, head.synthetic));
     }
-    let (artifacts, figures) = emission::drawn(&drawings, inputs.figures)?;
-    let results = json!({"dataset": head, "analyses": outcomes, "figures": figures, "provenance": provenance});
-    Ok(Output { results, artifacts, ..Output::default() })
+    let (artifacts, figures) = emission::drawn(&drawings, wanted)?;
+    let analyses = serde_json::to_value(&outcomes).map_err(emission::science)?;
+    Ok(Found { analyses, figures, artifacts })
 }
 
 #[cfg(test)]

@@ -35,6 +35,7 @@ pub struct Sensor {
     /// Number of its channel.
     pub channel: u32,
     /// Position, m.
+    #[cfg_attr(feature = "schema", schema(min_items = 3, max_items = 3))]
     pub position_m: [f64; 3],
     /// Sensitivity, V/Pa at the sensor.
     #[serde(default)]
@@ -45,6 +46,9 @@ pub struct Sensor {
     pub delay_s: f64,
 }
 
+/// Nothing is colder, degC.
+const ABSOLUTE_ZERO_C: f64 = -273.15;
+
 /// What is known about a test; what is missing is not known.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
@@ -53,6 +57,7 @@ pub struct Metadata {
     /// Material.
     pub material: Option<String>,
     /// Temperature, degC.
+    #[cfg_attr(feature = "schema", schema(minimum = -273.15))]
     pub temperature_c: Option<f64>,
     /// Mean grain size, mm; none for a single crystal.
     #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
@@ -110,6 +115,9 @@ impl Metadata {
             if let Some(value) = value.filter(|value| !value.is_finite()) {
                 return Err(EmissionError::option(name, value, "a finite number"));
             }
+        }
+        if let Some(value) = self.temperature_c.filter(|&value| value < ABSOLUTE_ZERO_C) {
+            return Err(EmissionError::option("temperature_c", value, format!("at least {ABSOLUTE_ZERO_C} degC")));
         }
         for sensor in &self.sensors {
             if !(sensor.position_m.iter().all(|c| c.is_finite()) && sensor.delay_s.is_finite()) {
