@@ -8,6 +8,7 @@ mod feature_sets;
 mod forecasts;
 mod health;
 mod imports;
+mod issued;
 mod job_frames;
 mod job_history;
 mod job_results;
@@ -24,6 +25,8 @@ mod router;
 mod scenarios;
 mod selections;
 pub(crate) mod stations;
+mod verification;
+mod what_if;
 
 use std::sync::Arc;
 

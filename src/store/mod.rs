@@ -1,6 +1,7 @@
 //! All SQL. SQLite in WAL mode is the truth: one writer connection, several readers, every write a transaction that is
 //! on disk before anybody is told of it.
 
+pub mod issued;
 pub mod jobs;
 pub mod keys;
 pub mod models;
