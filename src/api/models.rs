@@ -64,7 +64,7 @@ pub struct LeadQuery {
     /// Days between the last observation and the day that is forecast: 0 or 1.
     #[serde(default)]
     #[param(value_type = Option<u8>, minimum = 0, maximum = 1, default = 0)]
-    lead: Lead,
+    pub lead: Lead,
 }
 
 /// A trained model; it never changes.

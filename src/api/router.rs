@@ -24,11 +24,11 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use super::{
     AppState, auth, avalanches, dataset_hits, datasets, docs,
     extract::BodyLimit,
-    feature_sets, forecasts, health, imports, job_frames, job_history,
+    feature_sets, forecasts, health, imports, issued, job_frames, job_history,
     job_results::{self, REPR_DIGEST},
     jobs, landing, metrics, models, observations, openapi,
     problem::{ApiError, REQUEST_ID, from_panic},
-    processes, scenarios, selections, stations,
+    processes, scenarios, selections, stations, verification, what_if,
 };
 use crate::domain::{
     ids::new_id,
@@ -95,8 +95,13 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(models::get_active_model, models::put_active_model))
         .routes(routes!(forecasts::list_forecasts))
         .routes(routes!(forecasts::get_latest_forecast))
-        .routes(routes!(forecasts::get_forecast))
+        .routes(routes!(forecasts::get_forecast, issued::issue_forecast))
         .routes(routes!(forecasts::list_similar_days))
+        .routes(routes!(forecasts::explain_forecast))
+        .routes(routes!(what_if::ask_what_if))
+        .routes(routes!(issued::get_issued_forecast))
+        .routes(routes!(issued::put_forecaster_call))
+        .routes(routes!(verification::verify_forecasts))
 }
 
 /// The contract of all addresses, before [`openapi`] completes it.

@@ -3,6 +3,7 @@
 
 pub mod datasets;
 mod day_batch;
+pub mod issued;
 pub mod jobs;
 pub mod keys;
 pub mod models;

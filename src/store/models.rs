@@ -148,11 +148,12 @@ impl Store {
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
     pub async fn model(&self, id: Uuid) -> Result<Option<ModelRecord>> {
-        let row =
-            sqlx::query_as::<_, ModelRow>("SELECT id, station, job, lead, selection, summary, created FROM model WHERE id = ?")
-                .bind(id.to_string())
-                .fetch_optional(&self.reader)
-                .await?;
+        let row = sqlx::query_as::<_, ModelRow>(
+            "SELECT id, station, job, lead, selection, summary, created FROM model WHERE id = ?",
+        )
+        .bind(id.to_string())
+        .fetch_optional(&self.reader)
+        .await?;
         Ok(row.map(|row| row.0))
     }
 

@@ -340,6 +340,21 @@ impl Store {
         Ok(self.days(station, from, to, u32::MAX).await?.iter().map(StoredDay::record).collect())
     }
 
+    /// The avalanche records of a station on these days; a day without one is not among them.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn avalanches_on(&self, station: &StationId, dates: &[Date]) -> Result<HashMap<Date, AvalancheRecord>> {
+        let dates: Vec<String> = dates.iter().map(Date::to_string).collect();
+        let rows: Vec<AvalancheRow> =
+            sqlx::query_as("SELECT * FROM avalanche WHERE station = ? AND date IN (SELECT value FROM json_each(?))")
+                .bind(station.as_str())
+                .bind(to_json(&dates)?)
+                .fetch_all(&self.reader)
+                .await?;
+        Ok(rows.into_iter().map(|AvalancheRow(date, record)| (date, record.value)).collect())
+    }
+
     /// The newest day until `until` that has a value of one of `variables`, if there is any.
     ///
     /// # Errors

@@ -172,6 +172,9 @@ fn read(inputs: &Value) -> Result<Inputs, Problem> {
         let detail = "must be left out where a feature_count or a selection is given";
         faults.push(FieldError::new("/inputs/features", "contradiction", detail));
     }
+    if read.features.as_ref().is_some_and(|names| names.is_empty() || names.len() > 1000) {
+        faults.push(FieldError::new("/inputs/features", "out_of_range", "must be 1 to 1000 names"));
+    }
     if read.feature_count.is_some_and(|count| !(1..=1000).contains(&count)) {
         faults.push(FieldError::new("/inputs/feature_count", "out_of_range", "must be from 1 to 1000"));
     }
@@ -181,8 +184,7 @@ fn read(inputs: &Value) -> Result<Inputs, Problem> {
 /// Looks the named selection up, which must be one of the same task, and takes the number that it proposes.
 async fn take_selection(store: &Store, inputs: &mut Inputs) -> Result<(), Problem> {
     let Some(job) = inputs.selection else { return Ok(()) };
-    let fault =
-        |code: &str, detail: String| invalid_inputs(vec![FieldError::new("/inputs/selection", code, detail)]);
+    let fault = |code: &str, detail: String| invalid_inputs(vec![FieldError::new("/inputs/selection", code, detail)]);
     let record = store.selection(job).await.map_err(Problem::internal)?;
     let record = record.ok_or_else(|| {
         fault("unknown_selection", format!("must be a successful job of the process select-features; {job} is none"))

@@ -7,15 +7,18 @@ use super::day::DayRecord;
 use super::evaluation::{Evaluation, Part, Plan, Samples, Shares, evaluate};
 use crate::progress::Progress;
 
+mod explanation;
 mod forecast;
 mod options;
+mod what_if;
 
+pub use explanation::{Explanation, FeatureContribution, Imputed, METHOD, OutOfRange};
 pub use forecast::{
-    Category, FeatureContribution, Forecast, ForecastError, InputQuality, SimilarDay, SupportDay, TrainedModel,
-    TrainingWindow,
+    Category, Forecast, ForecastError, InputQuality, SimilarDay, SupportDay, TrainedModel, TrainingWindow,
 };
 pub use options::{FeatureChoice, LONGEST_LEAD, TrainingError, TrainingOptions, TrainingSummary, check};
 pub(crate) use options::{Prepared, prepare};
+pub use what_if::{Change, ResponsePoint, changed};
 
 /// A model and what it is worth.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -144,7 +144,8 @@ pub fn select(
         .enumerate()
         .with_max_len(1)
         .map(|(i, &held_out)| {
-            let name = held_out.map_or_else(|| "all seasons".to_owned(), |g| format!("seasons without group {}", g + 1));
+            let name =
+                held_out.map_or_else(|| "all seasons".to_owned(), |g| format!("seasons without group {}", g + 1));
             let share = shares.part(i, name);
             if let Some(run) = done.get(i) {
                 share.report(1.0, "done before");

@@ -172,7 +172,7 @@ impl Gram {
 const TILE: usize = 32;
 
 /// Copies the lower triangle of a symmetric matrix to the upper one.
-fn mirror<T: Copy>(values: &mut [T], rows: usize, stride: usize) {
+fn mirror<T: Copy + Default>(values: &mut [T], rows: usize, stride: usize) {
     for start in (0..rows).step_by(TILE) {
         let end = (start + TILE).min(rows);
         let (head, tail) = values.split_at_mut(end * stride);
@@ -183,11 +183,18 @@ fn mirror<T: Copy>(values: &mut [T], rows: usize, stride: usize) {
             }
         }
         for (tile, below) in tail.chunks(TILE * stride).enumerate() {
-            let first = end + tile * TILE;
-            for (i, row) in band.chunks_mut(stride).enumerate() {
-                for (j, source) in below.chunks_exact(stride).enumerate() {
-                    row[first + j] = source[start + i];
+            // turned in a small square: rows a power of two apart push each other out of the cache, so each is read once
+            let mut turned = [[T::default(); TILE]; TILE];
+            let mut height = 0;
+            for source in below.chunks_exact(stride) {
+                for (row, &value) in turned.iter_mut().zip(&source[start..end]) {
+                    row[height] = value;
                 }
+                height += 1;
+            }
+            let first = end + tile * TILE;
+            for (row, turned) in band.chunks_mut(stride).zip(&turned) {
+                row[first..first + height].copy_from_slice(&turned[..height]);
             }
         }
     }

@@ -13,6 +13,7 @@
 //! Every sum runs in an order that depends neither on the number of threads nor on the instruction set, so the same input
 //! gives the same bits everywhere.
 
+pub mod attribution;
 pub mod calibration;
 mod columns;
 mod criterion;
@@ -28,6 +29,7 @@ mod rows;
 mod smo;
 pub mod solver;
 
+pub use attribution::Attribution;
 pub use calibration::{CalibrationError, Platt, fit_platt};
 pub use elimination::{Elimination, EliminationError, EliminationRecipe, eliminate};
 pub use gram::{Gram, PairTable};
