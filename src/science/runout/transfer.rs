@@ -4,11 +4,10 @@
 //! A node is four numbers. Of velocity: (x, z), twice, so that sums and moments are made in one register. Of what is given:
 //! momentum along x and z, mass, and nothing.
 
-use multiversion::multiversion;
-
 use super::{
+    dispatch::dispatched,
     lanes::{Real, ln_1p_pair, max, min},
-    material::Material,
+    material::{FlowRule, Material},
     particles::{BLOCK, Block, Place},
     vector::Vector,
 };
@@ -320,11 +319,15 @@ fn plastic_return<T: Real>(
     let mut volume = [zero; GROUP];
     let mut shear = [zero; GROUP];
     let mut plastic = volumetric;
-    if any_strong != 0 {
-        let returned = if material.nacc {
-            material.nacc(&volumetric, &deviatoric, &strength)
-        } else {
-            material.closest(&volumetric, &deviatoric, &strength)
+    let implicit = material.rule == FlowRule::AssociativeImplicit;
+    // compaction gives strength even to what has none, but only within the step where hardening is implicit
+    if any_strong != 0 || implicit {
+        let returned = match material.rule {
+            FlowRule::Associative => material.closest(&volumetric, &deviatoric, &strength),
+            FlowRule::AssociativeImplicit => {
+                material.implicit(&volumetric, &deviatoric, &window(&block.plastic_strain), &strength)
+            }
+            FlowRule::Nacc => material.nacc(&volumetric, &deviatoric, &strength),
         };
         for k in 0..GROUP {
             (volume[k], shear[k], plastic[k]) = (returned[k].volumetric, returned[k].shear, returned[k].plastic);
@@ -532,31 +535,11 @@ fn extremes<T: Real>(step: &Step<'_, T>, place: &Place<T>, k: usize, scratch: &m
     high.store(&mut scratch.highest[k]);
 }
 
-macro_rules! dispatched {
-    ($t:ty, $step:ident, $audit:ident) => {
-        /// [`step`] at the widest instructions of this machine.
-        #[multiversion(targets(
-            "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2",
-            "x86_64+avx2+bmi1+bmi2"
-        ))]
-        pub(super) fn $step(
-            input: &Step<'_, $t>,
-            blocks: &mut [Block<$t>],
-            motion: &mut [Motion<$t>],
-            grid: &mut ChunkGrid<$t>,
-        ) {
-            step(input, blocks, motion, grid);
-        }
-
-        /// [`audit`] at the widest instructions of this machine.
-        #[multiversion(targets(
-            "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2",
-            "x86_64+avx2+bmi1+bmi2"
-        ))]
-        pub(super) fn $audit(input: &Audit<'_, $t>, blocks: &[Block<$t>], grid: &mut ChunkGrid<$t>) {
-            audit(input, blocks, grid);
-        }
-    };
-}
-dispatched!(f32, step_f32, audit_f32);
-dispatched!(f64, step_f64, audit_f64);
+dispatched!(step_f32 => step(
+    input: &Step<'_, f32>, blocks: &mut [Block<f32>], motion: &mut [Motion<f32>], grid: &mut ChunkGrid<f32>
+));
+dispatched!(step_f64 => step(
+    input: &Step<'_, f64>, blocks: &mut [Block<f64>], motion: &mut [Motion<f64>], grid: &mut ChunkGrid<f64>
+));
+dispatched!(audit_f32 => audit(input: &Audit<'_, f32>, blocks: &[Block<f32>], grid: &mut ChunkGrid<f32>));
+dispatched!(audit_f64 => audit(input: &Audit<'_, f64>, blocks: &[Block<f64>], grid: &mut ChunkGrid<f64>));

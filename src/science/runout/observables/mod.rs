@@ -8,7 +8,7 @@ mod summary;
 use serde::{Deserialize, Serialize};
 
 pub use profiles::{BIN_M, DepthProfile, VelocityProfile};
-pub use series::{EnergyRecord, FRONT, Series, TAIL};
+pub use series::{FRONT, Series, TAIL};
 pub use summary::{Deposit, Ending, ReachAngles, Summary};
 
 use super::GRAVITY_M_S2;
@@ -129,7 +129,7 @@ impl Observer {
     }
 
     /// Potential energy that was released until a frame, J a metre of width, at least that of a fall by the slab's thickness.
-    fn released(&self, until: &EnergyRecord) -> f64 {
+    fn released(&self, until: &Energies) -> f64 {
         let Scene { mass_kg_m, slab, .. } = &self.scene;
         let before = self.seen.series.energies.first().map_or(0.0, |first| first.potential);
         (before - until.potential).max(mass_kg_m * GRAVITY_M_S2 * slab.thickness_m)
