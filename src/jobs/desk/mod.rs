@@ -59,6 +59,8 @@ pub struct Rules {
     pub most_waiting: u32,
     /// How long a worker may be silent before its job is given to another.
     pub lease: Duration,
+    /// The most memory that the particles and the grid of a run-out may take, bytes.
+    pub runout_memory_bytes: u64,
 }
 
 /// A wish to have a process executed.
@@ -210,7 +212,7 @@ impl Desk {
     ) -> Result<Submitted, Problem> {
         let store = &self.0.store;
         let process = submission.process;
-        let accepted = process.accept(store, &submission.inputs).await?;
+        let accepted = process.accept(store, &self.0.rules, &submission.inputs).await?;
         if process.is_pure() && !submission.anew {
             let version = env!("CARGO_PKG_VERSION");
             let same = store.job_of_input(process.id(), &accepted.hash, version).await.map_err(Problem::internal)?;
@@ -272,6 +274,20 @@ impl Desk {
         let (jobs, digests) = self.0.store.retire_jobs(retention).await?;
         self.0.artifacts.remove(&digests).await;
         Ok(jobs)
+    }
+
+    /// Removes the pieces of outputs of jobs that have ended: the outputs are put together, or never will be.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where it cannot be stored.
+    pub async fn sweep_pieces(&self) -> Result<(), StoreError> {
+        if !self.0.store.has_spare_pieces().await? {
+            return Ok(());
+        }
+        let _alone = self.0.naming.write().await;
+        let digests = self.0.store.forget_pieces().await?;
+        self.0.artifacts.remove(&digests).await;
+        Ok(())
     }
 
     /// Issues tickets; where the engine does not answer, the caretaker issues them later.

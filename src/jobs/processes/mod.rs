@@ -9,7 +9,7 @@ use jiff::Timestamp;
 use serde_json::{Map, Value, json};
 use uuid::Uuid;
 
-use super::link::Output;
+use super::{Rules, link::Output};
 use crate::{
     domain::{
         job::Job,
@@ -95,11 +95,11 @@ impl Process {
     ///
     /// # Errors
     /// A [`Problem`] with a pointer to every field at fault.
-    pub async fn accept(self, store: &Store, inputs: &Value) -> Result<Accepted, Problem> {
+    pub async fn accept(self, store: &Store, rules: &Rules, inputs: &Value) -> Result<Accepted, Problem> {
         match self {
             Self::Echo => echo::accept(inputs),
             Self::TrainModel => train_model::accept(store, inputs).await,
-            Self::Runout => runout::accept(inputs),
+            Self::Runout => runout::accept(inputs, rules.runout_memory_bytes),
         }
     }
 
@@ -107,7 +107,7 @@ impl Process {
     ///
     /// # Errors
     /// A [`Problem`] where the job can no longer be computed.
-    pub async fn payload(self, store: &Store, job: &Job) -> Result<Vec<u8>, Problem> {
+    pub async fn payload(self, store: &Store, rules: &Rules, job: &Job) -> Result<Vec<u8>, Problem> {
         match self {
             Self::Echo => {
                 let is_parent = job.inputs["parts"].as_u64() > Some(0);
@@ -116,7 +116,7 @@ impl Process {
                 echo::payload(&job.inputs, children)
             }
             Self::TrainModel => train_model::payload(store, job).await,
-            Self::Runout => runout::payload(job),
+            Self::Runout => runout::payload(job, rules.runout_memory_bytes),
         }
     }
 

@@ -20,6 +20,12 @@ fn flow(setup: &Setup, time_s: f64, level: Level) -> Vec<u32> {
     })
 }
 
+/// FNV-1a of some words.
+fn digest(words: &[u32]) -> u64 {
+    let mix = |hash: u64, word: &u32| (hash ^ u64::from(*word)).wrapping_mul(0x0100_0000_01b3);
+    words.iter().fold(0xcbf2_9ce4_8422_2325, mix)
+}
+
 #[test]
 fn every_width_of_instructions_gives_the_same_bits() {
     // long enough for snow that flows, breaks and is limited in its affine motion
@@ -32,6 +38,8 @@ fn every_width_of_instructions_gives_the_same_bits() {
     for (name, precision, flow_rule, time_s) in cases {
         let setup = Setup { precision, flow_rule, ..group_2(name, 0.25) };
         let widest = flow(&setup, time_s, Level::Widest);
+        // to be compared with what another machine prints
+        println!("{name:?} {precision:?} {flow_rule:?}: {:016x}", digest(&widest));
         for level in [Level::Avx2, Level::Baseline] {
             assert!(flow(&setup, time_s, level) == widest, "{name:?} {precision:?} {flow_rule:?}: {level:?}");
         }

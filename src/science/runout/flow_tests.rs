@@ -13,36 +13,65 @@ use super::{
 };
 use crate::progress::{Progress, Unobserved};
 
-/// A run of `time_s`: largest rise of the energy sum and its end over the released energy, and the largest grain speed.
-fn audited(setup: &Setup, time_s: f64) -> (f64, f64, f64) {
+/// What a run shows until it ends.
+struct Audit {
+    /// Largest rise of the energy sum, and its change at the end, over the released energy.
+    rise: f64,
+    closure: f64,
+    /// The largest speed of any grain, m/s.
+    fastest: f64,
+    /// Centre of mass and front at the start and after 5 s, m.
+    start: [f64; 2],
+    at_5: [f64; 2],
+}
+
+fn places(simulation: &Simulation) -> [f64; 2] {
+    let snapshot = simulation.snapshot();
+    [mean(&snapshot.x_m), front(&snapshot)]
+}
+
+fn audited(setup: &Setup, time_s: f64) -> Audit {
     let mut simulation = Simulation::new(setup).unwrap();
     let first = simulation.energies();
-    let (mut rise, mut lowest, mut fastest) = (0.0_f64, first.total(), 0.0_f64);
-    let mut last = first;
-    while simulation.time_s() < time_s {
-        assert_eq!(simulation.step_until(simulation.time_s() + 0.1, &Unobserved).unwrap(), Advance::Reached);
+    let start = places(&simulation);
+    let mut seen = Audit { rise: 0.0, closure: 0.0, fastest: 0.0, start, at_5: start };
+    let (mut lowest, mut last) = (first.total(), first);
+    for look in 1..=(10.0 * time_s).round() as u32 {
+        assert_eq!(simulation.step_until(f64::from(look) / 10.0, &Unobserved).unwrap(), Advance::Reached);
         last = simulation.energies();
         assert!(last.bed >= 0.0 && last.plastic >= 0.0 && last.transfer >= 0.0);
         lowest = lowest.min(last.total());
-        rise = rise.max(last.total() - lowest);
-        fastest = speeds(&simulation.snapshot()).fold(fastest, f64::max);
+        seen.rise = seen.rise.max(last.total() - lowest);
+        seen.fastest = speeds(&simulation.snapshot()).fold(seen.fastest, f64::max);
+        if look == 50 {
+            seen.at_5 = places(&simulation);
+        }
     }
     let released = first.potential - last.potential;
-    (rise / released, (last.total() - first.total()) / released, fastest)
+    Audit { rise: seen.rise / released, closure: (last.total() - first.total()) / released, ..seen }
 }
 
+/// In all four regimes the energies close, no lone grain outruns free fall, and the limiter that sees to it leaves the flow
+/// as plain APIC has it: after 5 s centre and front are where they are without it, to 1 % of the way since release.
 #[test]
-fn the_energies_of_all_regimes_close_and_no_grain_outruns_free_fall() {
+fn no_grain_outruns_free_fall_and_the_flow_is_that_of_plain_apic() {
     // from the block's top to the flat
     let angle = 40_f64.to_radians();
     let top = 65.0 * angle.tan() - 9.0 / angle.cos() + 10.0 + angle.cos() + 6.0 * angle.sin();
     let free = (2.0 * 9.81 * top).sqrt();
     assert!((free - 33.5).abs() < 0.1, "{free}");
-    for snow in [ScenarioName::ColdDense, ScenarioName::WarmShear, ScenarioName::SlidingSlab, ScenarioName::WarmPlug] {
-        let (rise, closure, fastest) = audited(&group_2(snow, 0.1), 12.0);
-        assert!(closure.abs() < 0.02, "{snow:?}: {closure} of the released energy is unexplained");
-        assert!(rise < 1e-3, "{snow:?}: the energy sum rises by {rise} of the released energy");
-        assert!(fastest < 1.15 * free, "{snow:?}: {fastest} m/s");
+    for flow in [ScenarioName::ColdDense, ScenarioName::WarmShear, ScenarioName::SlidingSlab, ScenarioName::WarmPlug] {
+        let setup = group_2(flow, 0.1);
+        let seen = audited(&setup, 12.0);
+        assert!(seen.closure.abs() < 0.02, "{flow:?}: {} of the released energy is unexplained", seen.closure);
+        assert!(seen.rise < 1e-3, "{flow:?}: the energy sum rises by {} of the released energy", seen.rise);
+        assert!(seen.fastest < 1.15 * free, "{flow:?}: {} m/s", seen.fastest);
+        let mut plain = Simulation::new(&Setup { limited_above: f64::INFINITY, ..setup }).unwrap();
+        plain.step_until(5.0, &Unobserved).unwrap();
+        for ((plain, limited), start) in places(&plain).iter().zip(seen.at_5).zip(seen.start) {
+            let change = (limited - plain) / (plain - start);
+            assert!(change.abs() < 0.01, "{flow:?}: {limited} for {plain} m, {change} of the way");
+        }
     }
 }
 
@@ -73,15 +102,19 @@ fn another_code_computes_the_same_flows() {
         assert!((ours - theirs).abs() <= share * theirs.abs(), "{what}: {ours} for {theirs}");
     };
     let [v99, speed, front, centre] = other_code(ScenarioName::WarmPlug, 14.0, LIMITED_ABOVE);
+    println!("plug {v99} {speed} {front} {centre}");
+    for limited_above in [f64::INFINITY, LIMITED_ABOVE, 0.5, 1.0] {
+        let [_, speed, front, centre] = other_code(ScenarioName::ColdDense, 10.0, limited_above);
+        println!("cold {limited_above} {speed} {front} {centre}");
+    }
     close(v99, 21.82, 0.005, "largest v99");
     close(speed, 19.45, 0.005, "largest speed of all");
     close(front, 21.94, 0.005, "front");
-    close(centre, 15.91, 0.01, "centre");
-    // the limiter takes some energy from what is strongly dilated: the centre is 1.6 % further back after 10 s
-    for (limited_above, share) in [(f64::INFINITY, 0.02), (LIMITED_ABOVE, 0.03)] {
+    close(centre, 15.91, 0.005, "centre");
+    for limited_above in [f64::INFINITY, LIMITED_ABOVE] {
         let [_, speed, front, centre] = other_code(ScenarioName::ColdDense, 10.0, limited_above);
         close(speed, 16.14, 0.02, "largest speed of all");
-        close(centre, 27.2, share, "centre after 10 s");
+        close(centre, 27.2, 0.02, "centre after 10 s");
         close(front, 95.3, 0.15, "front after 10 s");
     }
 }

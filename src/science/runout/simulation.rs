@@ -21,7 +21,7 @@ use crate::progress::Progress;
 /// Acceleration of gravity, m/s2.
 pub const GRAVITY_M_S2: f64 = 9.81;
 
-/// The usual value of [`Setup::limited_above`]: so far dilated, a particle is a lone grain.
+/// The usual value of [`Setup::limited_above`]: so far dilated, snow has come apart.
 pub const LIMITED_ABOVE: f64 = 0.5;
 
 /// Cells above the bed at which a node still counts as lying on it.
@@ -75,8 +75,9 @@ pub struct Setup {
     pub mesh_m: f64,
     /// Time step, s: at most [`Setup::time_step_limit_s`].
     pub time_step_s: f64,
-    /// Volumetric plastic strain above which the affine motion of a particle is limited, usually [`LIMITED_ABOVE`]; infinity
-    /// gives plain APIC, in which lone grains may outrun free fall.
+    /// Volumetric plastic strain above which the affine motion of a particle is limited where it outruns a frictionless fall
+    /// from the highest snow at release, usually [`LIMITED_ABOVE`]; infinity gives plain APIC, in which lone grains may come to
+    /// twice that speed.
     pub limited_above: f64,
     /// Numbers in which the run is computed.
     pub precision: Precision,
@@ -176,6 +177,7 @@ impl Setup {
             friction: self.bed_friction,
             sticky: self.contact == Contact::Sticky,
             limited_above: self.limited_above,
+            top_m: self.release.top_m(&self.terrain),
         }
     }
 }

@@ -75,8 +75,12 @@ pub(super) struct Step<'a, T> {
     /// For every column the number of its node at row 0, were there one.
     pub(super) offset: &'a [i32],
     pub(super) material: &'a Material<T>,
-    /// Volumetric plastic strain above which the affine motion is limited.
+    /// Volumetric plastic strain above which the affine motion of what outruns free fall is limited.
     pub(super) limited_above: T,
+    /// Twice the acceleration of gravity, cells a step a step, and the row that all snow fell from: `fall (top - z)` is the
+    /// square of the speed of free fall.
+    pub(super) fall: T,
+    pub(super) top: T,
 }
 
 /// What an audit reads: the same.
@@ -477,23 +481,27 @@ fn audit<T: Real>(step: &Audit<'_, T>, blocks: &[Block<T>], grid: &mut ChunkGrid
     }
 }
 
-/// Limits the affine motion of strongly dilated particles, so that no node is given a velocity outside of those of the
-/// particle's nodes (after Barth & Jespersen 1989, AIAA paper 89-0366).
+/// Limits the affine motion of dilated particles that outrun free fall, so that no node is given a velocity outside of those
+/// of the particle's nodes (after Barth & Jespersen 1989, AIAA paper 89-0366).
 ///
 /// At an unresolved edge the fit overshoots, and a lone particle would hand momentum to nodes that few share, again and
-/// again: grains at twice the speed of free fall come of it. Dilated this far they carry no stress, so the flow does not
-/// feel the limit.
+/// again: grains at twice the speed of free fall come of it. What is faster than a frictionless fall from the top of the slab
+/// cannot be right, and what is slower is left as it is: the flow does not feel the limit.
 #[inline(always)]
 fn limit<T: Real>(step: &Step<'_, T>, block: &Block<T>, scratch: &mut Scratch<T>) {
-    let mut any = 0_u32;
+    let (mut any, mut outruns) = (0_u32, [false; BLOCK]);
     for k in 0..BLOCK {
-        any |= u32::from(block.plastic_strain[k] > step.limited_above);
+        let (vx, vz) = (scratch.motion.vx[k], scratch.motion.vz[k]);
+        let z = T::of(f64::from(block.place.row[k])) + block.place.gz[k];
+        let faster = vx * vx + vz * vz > step.fall * (step.top - z);
+        outruns[k] = (block.plastic_strain[k] > step.limited_above) & faster;
+        any |= u32::from(outruns[k]);
     }
     if any == 0 {
         return;
     }
     for k in 0..BLOCK {
-        if block.plastic_strain[k] > step.limited_above {
+        if outruns[k] {
             extremes(step, &block.place, k, scratch);
         }
     }
@@ -511,8 +519,7 @@ fn limit<T: Real>(step: &Step<'_, T>, block: &Block<T>, scratch: &mut Scratch<T>
             let tiny = T::of(1e-20);
             let up = max(highest[k][component] - v[k], zero) / max(up, tiny);
             let down = min(lowest[k][component] - v[k], zero) / min(down, -tiny);
-            let limited = block.plastic_strain[k] > step.limited_above;
-            let scale = if limited { min(min(up, down), one) } else { one };
+            let scale = if outruns[k] { min(min(up, down), one) } else { one };
             lx[k] = lx[k] * scale;
             lz[k] = lz[k] * scale;
         }
