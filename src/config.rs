@@ -71,6 +71,10 @@ pub struct Settings {
     /// Seconds for which a computation may make no step before its job is failed as `stalled` [default: 900]
     #[arg(long, env = "FIRN_STALL_S", value_name = "S", value_parser = clap::value_parser!(u64).range(STALLS_S))]
     pub stall_s: Option<u64>,
+    /// MiB of memory that the particles and the grid of a run-out simulation may take; what would take more is refused
+    /// [default: 2048]
+    #[arg(long, env = "FIRN_RUNOUT_MEMORY_MIB", value_name = "MIB")]
+    pub runout_memory_mib: Option<u64>,
     /// Days that ended jobs are kept [default: 90]
     #[arg(long, env = "FIRN_KEEP_JOBS_DAYS", value_name = "DAYS")]
     pub keep_jobs_days: Option<u32>,
@@ -181,6 +185,8 @@ pub struct Config {
     pub lease: Duration,
     /// How long a computation may make no step.
     pub stall: Duration,
+    /// Bytes that the particles and the grid of a run-out simulation may take.
+    pub runout_memory_bytes: u64,
     /// Days that ended jobs are kept.
     pub keep_jobs_days: u32,
     /// Bytes that ended jobs may need before the oldest go.
@@ -270,6 +276,11 @@ impl Settings {
             engine: self.engine.or(file.engine).unwrap_or(EngineAddress::Local),
             lease: Duration::from_secs(self.lease_s.or(file.lease_s).unwrap_or(30)),
             stall: Duration::from_secs(self.stall_s.or(file.stall_s).unwrap_or(900)),
+            runout_memory_bytes: self
+                .runout_memory_mib
+                .or(file.runout_memory_mib)
+                .unwrap_or(2048)
+                .saturating_mul(1024 * 1024),
             keep_jobs_days: self.keep_jobs_days.or(file.keep_jobs_days).unwrap_or(90),
             keep_jobs_bytes: self.keep_jobs_mib.or(file.keep_jobs_mib).unwrap_or(20 * 1024).saturating_mul(1024 * 1024),
             shutdown_timeout: Duration::from_secs(self.shutdown_timeout_s.or(file.shutdown_timeout_s).unwrap_or(20)),

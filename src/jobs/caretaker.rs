@@ -63,6 +63,9 @@ pub async fn run(desk: Desk, keep: Keep, stop: CancellationToken) {
         if let Err(error) = issue_lost(&desk, before).await {
             tracing::error!(%error, "lost tickets could not be looked for");
         }
+        if let Err(error) = desk.sweep_pieces().await {
+            tracing::error!(%error, "pieces of outputs that are no more needed could not be removed");
+        }
         if round.is_multiple_of(ROUNDS_TO_RETIRE)
             && let Err(error) = retire(&desk, keep).await
         {

@@ -29,6 +29,8 @@ pub struct Shelf<'a> {
     pub store: &'a Store,
     /// The columns of data sets.
     pub artifacts: &'a Artifacts,
+    /// What a run-out simulation may need, bytes.
+    pub runout_memory_bytes: u64,
 }
 
 /// A process that jobs execute.
@@ -147,7 +149,7 @@ impl Process {
             Self::Echo => echo::accept(inputs),
             Self::TrainModel => train_model::accept(shelf.store, inputs).await,
             Self::SelectFeatures => select_features::accept(shelf.store, inputs).await,
-            Self::Runout => runout::accept(inputs),
+            Self::Runout => runout::accept(inputs, shelf.runout_memory_bytes),
             Self::EmissionAnalysis => emission_analysis::accept(shelf, inputs).await,
             Self::EmissionComparison => emission_comparison::accept(shelf, inputs).await,
             Self::EmissionSynthetic => emission_synthetic::accept(inputs),
@@ -171,7 +173,7 @@ impl Process {
             }
             Self::TrainModel => return train_model::payload(shelf.store, job).await,
             Self::SelectFeatures => return select_features::payload(shelf.store, job).await,
-            Self::Runout => runout::payload(job),
+            Self::Runout => runout::payload(job, shelf.runout_memory_bytes),
             Self::EmissionAnalysis => emission_analysis::payload(shelf, job).await,
             Self::EmissionComparison => emission_comparison::payload(shelf, job).await,
             Self::EmissionSynthetic => emission_synthetic::payload(job),
