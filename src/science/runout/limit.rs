@@ -20,12 +20,12 @@ impl<T: Real> Extremes<T> {
     }
 }
 
-/// Limits the affine motion of strongly dilated particles, so that no node is given a velocity outside of those of the
-/// particle's nodes (after Barth & Jespersen 1989, AIAA paper 89-0366).
+/// Limits the affine motion of dilated particles that outrun free fall, so that no node is given a velocity outside of those
+/// of the particle's nodes (after Barth & Jespersen 1989, AIAA paper 89-0366).
 ///
 /// At an unresolved edge the fit overshoots, and a lone particle would hand momentum to nodes that few share, again and
-/// again: grains at twice the speed of free fall come of it. Dilated this far they carry no stress, so the flow does not
-/// feel the limit.
+/// again: grains at twice the speed of free fall come of it. What is faster than a frictionless fall from the top of the slab
+/// cannot be right, and what is slower is left as it is: the flow does not feel the limit.
 #[inline(always)]
 pub(super) fn limit<T: Real>(step: &Step<'_, T>, block: &Block<T>, motion: &mut Motion<T>, extremes: &mut Extremes<T>) {
     // no iterator: what is not inlined is not compiled for the wide registers
@@ -35,36 +35,55 @@ pub(super) fn limit<T: Real>(step: &Step<'_, T>, block: &Block<T>, motion: &mut 
         for k in at..at + GROUP {
             any |= u32::from(block.plastic_strain[k] > step.limited_above);
         }
-        if any == 0 {
-            continue;
+        if any != 0 {
+            limit_group(step, block, at, motion, extremes);
         }
-        let (mut limited, mut count) = ([0; GROUP], 0);
-        for k in at..at + GROUP {
-            limited[count % GROUP] = k;
-            count += usize::from(block.plastic_strain[k] > step.limited_above);
-        }
-        for k in &limited[..count.min(GROUP)] {
-            find(step, &block.place, k % BLOCK, extremes);
-        }
-        let Motion { vx, vz, lxx, lxz, lzx, lzz } = motion;
-        let above = step.limited_above;
-        scale(block, at, above, extremes, 0, (vx, lxx, lxz));
-        scale(block, at, above, extremes, 1, (vz, lzx, lzz));
     }
 }
 
-/// Scales the gradient (along x, along z) of one component of the velocity in the group that begins at `at`.
+/// The same for the group that begins at `at`.
+#[inline(always)]
+fn limit_group<T: Real>(
+    step: &Step<'_, T>,
+    block: &Block<T>,
+    at: usize,
+    motion: &mut Motion<T>,
+    extremes: &mut Extremes<T>,
+) {
+    let (mut outruns, mut any) = ([false; GROUP], 0_u32);
+    for k in 0..GROUP {
+        let (vx, vz) = (motion.vx[at + k], motion.vz[at + k]);
+        let z = T::of(f64::from(block.place.row[at + k])) + block.place.gz[at + k];
+        let faster = vx * vx + vz * vz > step.fall * (step.top - z);
+        outruns[k] = (block.plastic_strain[at + k] > step.limited_above) & faster;
+        any |= u32::from(outruns[k]);
+    }
+    if any == 0 {
+        return;
+    }
+    for (k, outruns) in outruns.iter().enumerate() {
+        if *outruns {
+            find(step, &block.place, at + k, extremes);
+        }
+    }
+    let Motion { vx, vz, lxx, lxz, lzx, lzz } = motion;
+    scale(block, at, &outruns, extremes, 0, (vx, lxx, lxz));
+    scale(block, at, &outruns, extremes, 1, (vz, lzx, lzz));
+}
+
+/// Scales the gradient (along x, along z) of one component of the velocity of what outruns free fall.
 #[inline(always)]
 fn scale<T: Real>(
     block: &Block<T>,
     at: usize,
-    limited_above: T,
+    outruns: &[bool; GROUP],
     extremes: &Extremes<T>,
     component: usize,
     (v, lx, lz): (&[T; BLOCK], &mut [T; BLOCK], &mut [T; BLOCK]),
 ) {
     let (zero, one, tiny) = (T::of(0.0), T::of(1.0), T::of(1e-20));
-    for k in at..at + GROUP {
+    for (lane, outruns) in outruns.iter().enumerate() {
+        let k = at + lane;
         let (gx, gz) = (block.place.gx[k], block.place.gz[k]);
         // the furthest that v + C (x_i - x_p) goes up and down
         let (right, left) = (lx[k] * (one - gx), -(lx[k] * (one + gx)));
@@ -75,8 +94,7 @@ fn scale<T: Real>(
         let may_up = max(extremes.highest[k][component] - v[k], zero);
         let may_down = min(extremes.lowest[k][component] - v[k], zero);
         let (may, goes) = if may_up * down > may_down * up { (may_up, up) } else { (may_down, down) };
-        let limited = block.plastic_strain[k] > limited_above;
-        let scale = if limited { min(may / goes, one) } else { one };
+        let scale = if *outruns { min(may / goes, one) } else { one };
         lx[k] = lx[k] * scale;
         lz[k] = lz[k] * scale;
     }

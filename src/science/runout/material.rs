@@ -21,6 +21,8 @@ pub enum FlowRule {
     /// To the closest point in the energy norm, at the hardening of the step's start.
     #[default]
     Associative,
+    /// The same, at the hardening of the step's end; for a cohesion of at most 1.
+    AssociativeImplicit,
     /// The three cases of Wolper et al. (2019, ACM Trans. Graph. 38, 119): to the ends of the surface where the pressure is
     /// beyond them, else at the same pressure, with the hardening that they give.
     Nacc,
@@ -178,7 +180,7 @@ pub(super) struct Material<T> {
     /// `A / B` of the secular equation of the return, and its inverse.
     pub(super) ratio: T,
     pub(super) ratio_inverse: T,
-    pub(super) nacc: bool,
+    pub(super) rule: FlowRule,
 }
 
 /// Trial stresses outside of the yield surface, as elastic strains with the strength that they meet.
@@ -188,6 +190,8 @@ pub(super) struct Trial<T> {
     /// Half the difference of the principal strains.
     pub(super) deviatoric: [T; GROUP],
     pub(super) strength: [T; GROUP],
+    /// Volumetric plastic strain.
+    pub(super) plastic_strain: [T; GROUP],
 }
 
 /// Their plastic returns.
@@ -227,7 +231,7 @@ impl<T: Real> Returns<T> {
     pub(super) fn new() -> Self {
         let zero = [T::of(0.0); GROUP];
         Self {
-            trials: [Trial { volumetric: zero, deviatoric: zero, strength: zero }; GROUPS],
+            trials: [Trial { volumetric: zero, deviatoric: zero, strength: zero, plastic_strain: zero }; GROUPS],
             secular: [Secular { p: zero, q_2: zero, k: zero, shrink_p: zero, shrink_q: zero, t: zero }; GROUPS],
             returned: [Returned { volumetric: zero, shear: zero, plastic: zero }; GROUPS],
         }
@@ -255,7 +259,7 @@ impl<T: Real> Material<T> {
             shear_of_strain_2: T::of(shear_of_strain * shear_of_strain),
             ratio: T::of(ratio),
             ratio_inverse: T::of(1.0 / ratio),
-            nacc: rule == FlowRule::Nacc,
+            rule,
         }
     }
 
@@ -278,12 +282,19 @@ impl<T: Real> Material<T> {
     #[inline(always)]
     pub(super) fn back(&self, returns: &mut Returns<T>, count: usize) {
         let count = count.min(GROUPS);
-        if self.nacc {
-            for group in 0..count {
-                self.nacc(&returns.trials[group], &mut returns.returned[group]);
+        let Returns { trials, returned, .. } = returns;
+        match self.rule {
+            FlowRule::Associative => self.closest(returns, count),
+            FlowRule::AssociativeImplicit => {
+                for group in 0..count {
+                    self.implicit(&trials[group], &mut returned[group]);
+                }
             }
-        } else {
-            self.closest(returns, count);
+            FlowRule::Nacc => {
+                for group in 0..count {
+                    self.nacc(&trials[group], &mut returned[group]);
+                }
+            }
         }
     }
 

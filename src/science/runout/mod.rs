@@ -8,10 +8,12 @@
 //! [`snapshot::Snapshot`]. [`run::run`] does all of it for a [`plan::Plan`] and observes it.
 
 mod checkpoint;
+mod dispatch;
 mod engine;
 mod error;
 pub mod frames;
 mod grid;
+mod implicit;
 mod lanes;
 mod limit;
 pub mod material;
@@ -35,6 +37,12 @@ pub use error::{Dump, ParticleState, RunoutError};
 pub use simulation::{Advance, Contact, GRAVITY_M_S2, LIMITED_ABOVE, Precision, Setup, Simulation};
 
 #[cfg(test)]
+mod block_tests;
+#[cfg(test)]
+mod collapse_tests;
+#[cfg(test)]
+mod dispatch_tests;
+#[cfg(test)]
 mod dynamics_tests;
 #[cfg(test)]
 mod flow_tests;
@@ -46,3 +54,5 @@ mod plan_tests;
 mod run_tests;
 #[cfg(test)]
 mod terrain_tests;
+#[cfg(test)]
+mod test_scenes;

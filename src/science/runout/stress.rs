@@ -3,7 +3,7 @@
 
 use super::{
     lanes::{NEAR, Real, ln_1p_pair, max},
-    material::{Material, Returned, Returns},
+    material::{FlowRule, Material, Returned, Returns},
     particles::{BLOCK, Block, GROUP, GROUPS},
     transfer::Motion,
 };
@@ -171,6 +171,7 @@ fn window<T: Real>(values: &[T; BLOCK], group: usize) -> [T; GROUP] {
 /// Brings the stresses outside of the yield surface back to it.
 #[inline(always)]
 fn plastic<T: Real>(material: &Material<T>, block: &mut Block<T>, stress: &mut Stress<T>) {
+    let implicit = material.rule == FlowRule::AssociativeImplicit;
     let (mut groups, mut count) = ([0; GROUPS], 0);
     // no iterator: what is not inlined is not compiled for the wide registers
     for group in 0..GROUPS {
@@ -180,9 +181,11 @@ fn plastic<T: Real>(material: &Material<T>, block: &mut Block<T>, stress: &mut S
             any |= u32::from(yielding[k] > T::of(0.0));
             any_strong |= u32::from((yielding[k] > T::of(0.0)) & (strength[k] > material.weakest));
         }
-        if any_strong != 0 {
+        // compaction gives strength even to what has none, but only within the step where hardening is implicit
+        if any_strong != 0 || (any != 0 && implicit) {
             let trial = &mut stress.returns.trials[count % GROUPS];
             (trial.volumetric, trial.strength) = (window(&stress.volumetric, group), strength);
+            trial.plastic_strain = window(&block.plastic_strain, group);
             let deviatoric_2 = window(&stress.deviatoric_2, group);
             for k in 0..GROUP {
                 trial.deviatoric[k] = deviatoric_2[k].sqrt();

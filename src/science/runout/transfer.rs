@@ -4,9 +4,8 @@
 //! A node is four numbers. Of velocity: (x, z), twice, so that sums and moments are made in one register. Of what is given:
 //! momentum along x and z, mass, and nothing.
 
-use multiversion::multiversion;
-
 use super::{
+    dispatch::dispatched,
     lanes::Real,
     limit::{Extremes, limit},
     material::Material,
@@ -75,8 +74,12 @@ pub(super) struct Step<'a, T> {
     /// For every column the number of its node at row 0, were there one.
     pub(super) offset: &'a [i32],
     pub(super) material: &'a Material<T>,
-    /// Volumetric plastic strain above which the affine motion is limited.
+    /// Volumetric plastic strain above which the affine motion of what outruns free fall is limited.
     pub(super) limited_above: T,
+    /// Twice the acceleration of gravity, cells a step a step, and the row that all snow fell from: `fall (top - z)` is the
+    /// square of the speed of free fall.
+    pub(super) fall: T,
+    pub(super) top: T,
 }
 
 /// What an audit reads: the same.
@@ -341,31 +344,11 @@ fn audit<T: Real>(step: &Audit<'_, T>, blocks: &[Block<T>], grid: &mut ChunkGrid
     }
 }
 
-macro_rules! dispatched {
-    ($t:ty, $step:ident, $audit:ident) => {
-        /// [`step`] at the widest instructions of this machine.
-        #[multiversion(targets(
-            "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+fma+bmi1+bmi2",
-            "x86_64+avx2+fma+bmi1+bmi2"
-        ))]
-        pub(super) fn $step(
-            input: &Step<'_, $t>,
-            blocks: &mut [Block<$t>],
-            motion: &mut [Motion<$t>],
-            grid: &mut ChunkGrid<$t>,
-        ) {
-            step(input, blocks, motion, grid);
-        }
-
-        /// [`audit`] at the widest instructions of this machine.
-        #[multiversion(targets(
-            "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+fma+bmi1+bmi2",
-            "x86_64+avx2+fma+bmi1+bmi2"
-        ))]
-        pub(super) fn $audit(input: &Audit<'_, $t>, blocks: &[Block<$t>], grid: &mut ChunkGrid<$t>) {
-            audit(input, blocks, grid);
-        }
-    };
-}
-dispatched!(f32, step_f32, audit_f32);
-dispatched!(f64, step_f64, audit_f64);
+dispatched!(step_f32 => step(
+    input: &Step<'_, f32>, blocks: &mut [Block<f32>], motion: &mut [Motion<f32>], grid: &mut ChunkGrid<f32>
+));
+dispatched!(step_f64 => step(
+    input: &Step<'_, f64>, blocks: &mut [Block<f64>], motion: &mut [Motion<f64>], grid: &mut ChunkGrid<f64>
+));
+dispatched!(audit_f32 => audit(input: &Audit<'_, f32>, blocks: &[Block<f32>], grid: &mut ChunkGrid<f32>));
+dispatched!(audit_f64 => audit(input: &Audit<'_, f64>, blocks: &[Block<f64>], grid: &mut ChunkGrid<f64>));

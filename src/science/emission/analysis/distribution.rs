@@ -242,7 +242,22 @@ pub fn fit_sample(
 
 fn density(sample: &Sample) -> Vec<DensityPoint> {
     let levels = match sample {
-        Sample::Exact(values) => return log_density(values, 5),
+        Sample::Exact(values) => {
+            let mut density = log_density(values, 5);
+            // the floor cuts through the lowest bin: the part of it that is below can hold nothing
+            if let (Some(lowest), Some(&smallest)) = (density.first_mut(), values.first())
+                && (lowest.from..lowest.to).contains(&smallest)
+            {
+                let share = (lowest.to - lowest.from) / (lowest.to - smallest);
+                *lowest = DensityPoint {
+                    from: smallest,
+                    density: lowest.density * share,
+                    error: lowest.error * share,
+                    ..*lowest
+                };
+            }
+            return density;
+        }
         Sample::Rounded(levels) => levels,
     };
     // whole levels a bin, about 2 dB
