@@ -1,4 +1,5 @@
 //! The limiter of affine motion.
+#![allow(clippy::needless_range_loop, reason = "a lane is a number that indexes many arrays")]
 
 use super::{
     lanes::{Real, max, min},
