@@ -7,7 +7,7 @@ use jiff::{Timestamp, civil::Date};
 use sqlx::{AssertSqlSafe, FromRow, Row, SqliteConnection, sqlite::SqliteRow};
 
 use super::{
-    Result, Store, StoreError, day_batch::DayBatch, from_json, parse_date, parse_timestamp, stations::Written,
+    Result, Store, StoreError, day_batch::DayBatch, from_json, parse_date, parse_timestamp, stations::Written, to_json,
 };
 use crate::domain::{avalanche::AvalancheRecord, ids::StationId};
 
