@@ -126,7 +126,7 @@ def closest(volumetric, deviatoric, strength):
     """Elastic volumetric strain and share of the deviatoric one at the closest point of the yield surface."""
     half_axis, centre = 0.5 * (1 + COHESION) * strength, 0.5 * (1 - COHESION) * strength
     p = -BULK * volumetric - centre
-    q = Q_FACTOR * 2 * ti.sqrt(2.0) * SHEAR * ti.sqrt(1.0 + 2 * COHESION) / FRICTION * deviatoric
+    q = Q_FACTOR * 2 * ti.sqrt(2.0) * SHEAR * ti.sqrt(1.0 + 2 * COHESION) / FRICTION * ti.abs(deviatoric)
     scale_p = ti.max(ti.abs(p), half_axis, half_axis + (q - half_axis) / RATIO)
     scale_q = half_axis + RATIO * (scale_p - half_axis)
     p, q, k, t = p / scale_p, q / scale_q, RATIO * scale_p / scale_q, ti.cast(0, real)

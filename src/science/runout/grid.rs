@@ -213,6 +213,8 @@ impl Layout {
                 && chunk.particles[0] <= chunk.particles[1]
                 && chunk.nodes[0] <= chunk.nodes[1]
                 && chunk.nodes[1] as usize <= self.nodes()
+                && self.start.get(chunk.columns[0] as usize).is_some_and(|first| chunk.nodes[0] <= *first)
+                && self.start.get(chunk.columns[1] as usize).is_some_and(|end| *end <= chunk.nodes[1])
         });
         let numbered = (0..columns).all(|c| self.offset[c] == (self.start[c] as i32).saturating_sub(self.lowest[c]));
         let placed = particles.iter().all(|particle| {

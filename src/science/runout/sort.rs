@@ -87,8 +87,9 @@ impl<T: Real> Keys<T> {
         let [from, to] = span.columns.map(|column| column as usize);
         let of_column = (from..to).map(|column| {
             let nodes = layout.column(column);
-            let strong = 2 * (nodes.start - layout.start[from] as usize) as i32 - layout.lowest[column];
-            [strong, strong + nodes.len() as i32]
+            // wraps where rows are near the ends of their type; the row that is added wraps it back
+            let strong = (2 * (nodes.start - layout.start[from] as usize) as i32).wrapping_sub(layout.lowest[column]);
+            [strong, strong.wrapping_add(nodes.len() as i32)]
         });
         Self { first: from as i32, of_column: of_column.collect(), weakest }
     }
@@ -98,7 +99,7 @@ impl<T: Real> Keys<T> {
     fn of(&self, block: &Block<T>, k: usize) -> Option<usize> {
         let keys = self.of_column.get((block.place.column[k] - self.first) as usize)?;
         let weak = block.strength[k] <= self.weakest;
-        Some((keys[usize::from(weak)] + block.place.row[k]) as usize)
+        Some(keys[usize::from(weak)].wrapping_add(block.place.row[k]) as usize)
     }
 }
 
