@@ -77,10 +77,10 @@ fn conserved<T: Real>(engine: &Engine<T>) -> [f64; 4] {
 /// How far momenta move in 200 steps of a block of random motion, as a share of the largest that there could be.
 fn worst_drift<T: Real>() -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    // a uniform motion, so that the totals are not 0, and noise that strains the block
-    let released = filled([1.0, 0.5], |_| {
+    // a uniform motion and a turn, so that the totals are far from 0, and noise that strains the block
+    let released = filled([1.0, 0.5], |[x, _]| {
         let mut noise = |size: f64| rng.random_range(-size..size);
-        Some(([8.0 + noise(2.0), -3.0 + noise(2.0)], [noise(5.0), noise(5.0), 20.0 + noise(5.0), noise(5.0)]))
+        Some(([8.0 + noise(2.0), 20.0 * x - 3.0 + noise(2.0)], [noise(5.0), noise(5.0), 20.0 + noise(5.0), noise(5.0)]))
     });
     let snow = Snow::li_2020(0.5, 0.0, 1.0, 3e3);
     let mut engine = Engine::<T>::new(void(&snow, 0.0), &released).unwrap();

@@ -191,7 +191,8 @@ fn gather<T: Real>(step: &Step<'_, T>, place: &Place<T>, scratch: &mut Scratch<T
     }
     let four = T::of(4.0);
     for k in 0..BLOCK {
-        let (gx, gz) = (place.gx[k], place.gz[k]);
+        // the offset that the rounded weights mean: what moves as one has no gradient then, and keeps its spin
+        let (gx, gz) = (weight[2][k] - weight[0][k], weight[5][k] - weight[3][k]);
         lxx[k] = four * (-gx).mul_add(vx[k], lxx[k]);
         lzx[k] = four * (-gx).mul_add(vz[k], lzx[k]);
         lxz[k] = four * (-gz).mul_add(vx[k], lxz[k]);
@@ -235,12 +236,12 @@ pub(super) fn deformed<T: Real>(
 #[inline(always)]
 fn prepare<T: Real>(place: &Place<T>, scratch: &mut Scratch<T>) {
     all_weights(place, &mut scratch.weight);
-    let Scratch { motion, stress, at_node, slope_x, slope_z, .. } = scratch;
+    let Scratch { motion, weight, stress, at_node, slope_x, slope_z, .. } = scratch;
     let (zero, one) = (T::of(0.0), T::of(1.0));
     for k in 0..BLOCK {
         let (axx, azx) = (motion.lxx[k] - stress.xx[k], motion.lzx[k] - stress.xz[k]);
         let (axz, azz) = (motion.lxz[k] - stress.xz[k], motion.lzz[k] - stress.zz[k]);
-        let (gx, gz) = (place.gx[k], place.gz[k]);
+        let (gx, gz) = (weight[2][k] - weight[0][k], weight[5][k] - weight[3][k]);
         let vx = (-axz).mul_add(gz, (-axx).mul_add(gx, motion.vx[k]));
         let vz = (-azz).mul_add(gz, (-azx).mul_add(gx, motion.vz[k]));
         at_node[k] = [vx, vz, one, zero];
