@@ -3,6 +3,7 @@
 use std::{
     net::{IpAddr, Ipv4Addr, SocketAddr},
     num::NonZeroUsize,
+    ops::RangeInclusive,
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -11,6 +12,12 @@ use clap::Args;
 use serde::Deserialize;
 
 use crate::jobs::artifacts::ArtifactAddress;
+
+/// What a lease may be, s.
+const LEASES_S: RangeInclusive<u64> = 1..=3600;
+
+/// What the patience with a computation may be, s.
+const STALLS_S: RangeInclusive<u64> = 1..=1_000_000;
 
 /// What can be set; every field may come from a flag, an environment variable or the TOML file.
 #[derive(Args, Clone, Debug, Default, Deserialize)]
@@ -27,7 +34,7 @@ pub struct Settings {
     pub allow_anonymous: Option<bool>,
     /// Largest request body in MiB [default: 32]
     #[arg(long, env = "FIRN_MAX_BODY_MIB", value_name = "MIB")]
-    pub max_body_mib: Option<usize>,
+    pub max_body_mib: Option<NonZeroUsize>,
     /// Largest file of a data set in MiB [default: 1024]
     #[arg(long, env = "FIRN_MAX_DATASET_MIB", value_name = "MIB")]
     pub max_dataset_mib: Option<u64>,
@@ -59,11 +66,15 @@ pub struct Settings {
     #[arg(long, env = "FIRN_ENGINE", value_name = "ENGINE")]
     pub engine: Option<EngineAddress>,
     /// Seconds that a worker on another machine may be silent before its job is given to another [default: 30]
-    #[arg(long, env = "FIRN_LEASE_S", value_name = "S", value_parser = clap::value_parser!(u64).range(1..=3600))]
+    #[arg(long, env = "FIRN_LEASE_S", value_name = "S", value_parser = clap::value_parser!(u64).range(LEASES_S))]
     pub lease_s: Option<u64>,
     /// Seconds for which a computation may make no step before its job is failed as `stalled` [default: 900]
-    #[arg(long, env = "FIRN_STALL_S", value_name = "S", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    #[arg(long, env = "FIRN_STALL_S", value_name = "S", value_parser = clap::value_parser!(u64).range(STALLS_S))]
     pub stall_s: Option<u64>,
+    /// MiB of memory that the particles and the grid of a run-out simulation may take; what would take more is refused
+    /// [default: 2048]
+    #[arg(long, env = "FIRN_RUNOUT_MEMORY_MIB", value_name = "MIB")]
+    pub runout_memory_mib: Option<u64>,
     /// Days that ended jobs are kept [default: 90]
     #[arg(long, env = "FIRN_KEEP_JOBS_DAYS", value_name = "DAYS")]
     pub keep_jobs_days: Option<u32>,
@@ -73,6 +84,10 @@ pub struct Settings {
     /// Seconds that a shutdown may take [default: 20]
     #[arg(long, env = "FIRN_SHUTDOWN_TIMEOUT_S", value_name = "S")]
     pub shutdown_timeout_s: Option<u64>,
+    /// Seconds after a signal for which requests are still answered, `/readyz` with 503, so that whoever balances the load
+    /// looks elsewhere before the port closes [default: 1]
+    #[arg(long, env = "FIRN_GRACE_S", value_name = "S")]
+    pub grace_s: Option<u64>,
     /// `text` for a terminal, `json` for a collector of logs [default: text]
     #[arg(long, env = "FIRN_LOG_FORMAT", value_name = "FORMAT")]
     pub log_format: Option<LogFormat>,
@@ -89,6 +104,20 @@ pub enum EngineAddress {
     Local,
     /// A NATS server.
     Nats(String),
+}
+
+/// As it may be logged: without the name and password that an address may hold.
+impl std::fmt::Display for EngineAddress {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Local => f.write_str("local"),
+            Self::Nats(address) => {
+                let (scheme, rest) = address.split_once("://").unwrap_or(("nats", address));
+                let host = rest.rsplit_once('@').map_or(rest, |(_, host)| host);
+                write!(f, "{scheme}://{host}")
+            }
+        }
+    }
 }
 
 impl std::str::FromStr for EngineAddress {
@@ -156,12 +185,16 @@ pub struct Config {
     pub lease: Duration,
     /// How long a computation may make no step.
     pub stall: Duration,
+    /// Bytes that the particles and the grid of a run-out simulation may take.
+    pub runout_memory_bytes: u64,
     /// Days that ended jobs are kept.
     pub keep_jobs_days: u32,
     /// Bytes that ended jobs may need before the oldest go.
     pub keep_jobs_bytes: u64,
     /// How long a shutdown may take.
     pub shutdown_timeout: Duration,
+    /// For how long after a signal requests are still answered.
+    pub grace: Duration,
     /// How log lines look.
     pub log_format: LogFormat,
     /// What to log.
@@ -196,7 +229,21 @@ impl Settings {
     /// [`ConfigError`] naming the file, the line and what is accepted.
     pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.into(), source })?;
-        toml::from_str(&text).map_err(|error| ConfigError::Parse { path: path.into(), message: error.to_string() })
+        let refuse = |message: String| ConfigError::Parse { path: path.into(), message };
+        let settings: Self = toml::from_str(&text).map_err(|error| refuse(error.to_string()))?;
+        settings.check_bounds().map_err(refuse)?;
+        Ok(settings)
+    }
+
+    /// What the command line refuses by itself.
+    fn check_bounds(&self) -> Result<(), String> {
+        let bounds = [("lease_s", self.lease_s, LEASES_S), ("stall_s", self.stall_s, STALLS_S)];
+        for (name, value, accepted) in bounds {
+            if let Some(value) = value.filter(|value| !accepted.contains(value)) {
+                return Err(format!("{name} must be from {} to {}, not {value}", accepted.start(), accepted.end()));
+            }
+        }
+        Ok(())
     }
 
     /// The settings in force: `self` where it says something, then `file`, then the default.
@@ -214,7 +261,7 @@ impl Settings {
                 .unwrap_or_else(|| ArtifactAddress::Folder(data_dir.join("artifacts"))),
             data_dir,
             allow_anonymous: self.allow_anonymous.or(file.allow_anonymous).unwrap_or(false),
-            max_body_bytes: self.max_body_mib.or(file.max_body_mib).unwrap_or(32).saturating_mul(MIB),
+            max_body_bytes: self.max_body_mib.or(file.max_body_mib).map_or(32, NonZeroUsize::get).saturating_mul(MIB),
             max_dataset_bytes: self
                 .max_dataset_mib
                 .or(file.max_dataset_mib)
@@ -229,9 +276,15 @@ impl Settings {
             engine: self.engine.or(file.engine).unwrap_or(EngineAddress::Local),
             lease: Duration::from_secs(self.lease_s.or(file.lease_s).unwrap_or(30)),
             stall: Duration::from_secs(self.stall_s.or(file.stall_s).unwrap_or(900)),
+            runout_memory_bytes: self
+                .runout_memory_mib
+                .or(file.runout_memory_mib)
+                .unwrap_or(2048)
+                .saturating_mul(1024 * 1024),
             keep_jobs_days: self.keep_jobs_days.or(file.keep_jobs_days).unwrap_or(90),
             keep_jobs_bytes: self.keep_jobs_mib.or(file.keep_jobs_mib).unwrap_or(20 * 1024).saturating_mul(1024 * 1024),
             shutdown_timeout: Duration::from_secs(self.shutdown_timeout_s.or(file.shutdown_timeout_s).unwrap_or(20)),
+            grace: Duration::from_secs(self.grace_s.or(file.grace_s).unwrap_or(1)),
             log_format: self.log_format.or(file.log_format).unwrap_or(LogFormat::Text),
             log: self.log.or(file.log).unwrap_or_else(|| "info".into()),
         }
@@ -250,6 +303,23 @@ mod tests {
         assert_eq!(config.listen.port(), 9001);
         assert_eq!(config.max_body_bytes, 1024 * 1024);
         assert_eq!(config.job_slots, 2);
+    }
+
+    #[test]
+    fn a_file_is_held_to_the_same_bounds_as_the_command_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("firn.toml");
+        for (text, name) in [("stall_s = 0", "stall_s"), ("lease_s = 4000", "lease_s"), ("max_body_mib = 0", "max_body_mib")] {
+            std::fs::write(&path, text).unwrap();
+            let refusal = Settings::from_file(&path).unwrap_err().to_string();
+            assert!(refusal.contains(name) && refusal.contains("firn.toml"), "{refusal}");
+        }
+    }
+
+    #[test]
+    fn no_password_is_logged() {
+        let address: EngineAddress = "tls://bob:s3cret@nats.example:4222".parse().unwrap();
+        assert_eq!(address.to_string(), "tls://nats.example:4222");
     }
 
     #[test]

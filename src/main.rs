@@ -126,9 +126,10 @@ fn main() -> ExitCode {
     }
 }
 
-#[expect(clippy::print_stdout, reason = "the answer of a command")]
 fn print(text: &str) {
-    println!("{text}");
+    use std::io::Write as _;
+    // a reader that has seen enough (`| head`) is no failure
+    let _ = writeln!(std::io::stdout(), "{text}");
 }
 
 fn eprintln(text: &str) {
@@ -163,7 +164,7 @@ async fn run_worker(work: Work) -> Result<(), ServerError> {
     let host = std::env::var("HOSTNAME").unwrap_or_else(|_| "worker".into());
     let name = work.name.unwrap_or_else(|| format!("{host}-{}", std::process::id()));
     let options = WorkerOptions { name, threads: config.compute_threads, slots: config.job_slots, stall: config.stall };
-    tracing::info!(name = options.name, slots = options.slots, "firn works for {address}");
+    tracing::info!(name = options.name, slots = options.slots, "firn works for {}", config.engine);
     server::work(address, options, config.shutdown_timeout, stop).await
 }
 

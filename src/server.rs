@@ -52,7 +52,11 @@ impl Server {
             .await
             .map_err(|error| format!("{} cannot be listened on: {error}", config.listen))?;
         let artifacts = Artifacts::open(&config.artifacts).await?;
-        let rules = Rules { most_waiting: config.max_queue, lease: config.lease };
+        let rules = Rules {
+            most_waiting: config.max_queue,
+            lease: config.lease,
+            runout_memory_bytes: config.runout_memory_bytes,
+        };
         let (desk, worker, questions) = match &config.engine {
             EngineAddress::Local => {
                 let engine: Arc<dyn Engine> = Arc::new(Local::default());
@@ -122,6 +126,8 @@ impl Server {
             async move {
                 stop.cancelled().await;
                 state.stopping.cancel();
+                // not ready, and still there to say so
+                tokio::time::sleep(state.config.grace.min(deadline / 2)).await;
             }
         };
         let serve = axum::serve(listener, router).with_graceful_shutdown(begin);

@@ -2,15 +2,16 @@
 //!
 //! ```text
 //! cargo run --release -p firn-science --example runout_scenarios -- flows 0.05
-//! cargo run --release -p firn-science --example runout_scenarios -- sweep 0.05
+//! cargo run --release -p firn-science --example runout_scenarios -- sweep 0.05 [FOLDER]
 //! cargo run --release -p firn-science --example runout_scenarios -- inputs '{"scenario": "warm-plug", "mesh_m": 0.1}'
 //! ```
 //!
 //! `flows` prints what the summary says of each of the four flows, as JSON. `sweep` runs M and p0 of Table 1 with beta 0.3
-//! and xi 1 and prints scaled v_max over the reach angles. `inputs` prints the summary and the series of any run.
+//! and xi 1 and prints a line of CSV each: largest speeds over sqrt(g H0), reach angles, and how the run ended; into the
+//! folder, if one is given, go summary and series of each run as JSON. `inputs` prints the summary and the series of any run.
 #![allow(clippy::print_stdout, clippy::expect_used, reason = "a command for people, which may fail loudly")]
 
-use std::time::Instant;
+use std::{path::Path, time::Instant};
 
 use firn_science::progress::Unobserved;
 use firn_science::runout::plan::Plan;
@@ -40,29 +41,38 @@ fn flows(mesh_m: f64) {
     }
 }
 
-fn sweep(mesh_m: f64) {
+fn sweep(mesh_m: f64, folder: Option<&Path>) {
     println!(
-        "M,p0_kpa,v_max_scaled,front_v_max,reach_crown,reach_front,reach_com,class,nearest,duration_s,energy_closure"
+        "M,p0_kpa,v_max_scaled,com_v_max_scaled,front_v_max_scaled,reach_crown,reach_front,reach_com,class,nearest,ending,\
+         duration_s,energy_closure"
     );
     for m in [0.1, 0.5, 1.0, 1.5] {
         for p0_kpa in [3.0, 12.0, 21.0, 30.0] {
             let snow = SnowInputs::new(m, 0.3, 1.0, p0_kpa);
             let group = RunoutInputs::of_scenario(ScenarioName::Group2, Some(snow));
             let (outcome, ..) = timed(&RunoutInputs { mesh_m: Some(mesh_m), ..group });
-            let summary = outcome.summary;
-            let angles = summary.reach_angle_deg;
+            let summary = &outcome.summary;
+            let (angles, unit) = (summary.reach_angle_deg, summary.v_max / summary.v_max_scaled);
             println!(
-                "{m},{p0_kpa},{:.4},{:.2},{:.2},{:.2},{:.2},{:?},{:?},{:.2},{:.4}",
+                "{m},{p0_kpa},{:.4},{:.4},{:.4},{:.2},{:.2},{:.2},{:?},{:?},{:?},{:.2},{:.4}",
                 summary.v_max_scaled,
-                summary.front_v_max,
+                summary.com_v_max / unit,
+                summary.front_v_max / unit,
                 angles.crown,
                 angles.front,
                 angles.com,
                 summary.regime.class,
                 summary.regime.nearest,
+                summary.ending,
                 summary.duration_s,
                 summary.energy_closure,
             );
+            if let Some(folder) = folder {
+                let seen = (summary, &outcome.observations.series);
+                let text = serde_json::to_string(&seen).expect("numbers");
+                std::fs::write(folder.join(format!("M{m}_p{p0_kpa}.json")), text)
+                    .expect("a folder that can be written");
+            }
         }
     }
 }
@@ -83,7 +93,8 @@ fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match arguments.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
         ["flows", mesh_m] => flows(mesh_m.parse().expect("a mesh size in m")),
-        ["sweep", mesh_m] => sweep(mesh_m.parse().expect("a mesh size in m")),
+        ["sweep", mesh_m] => sweep(mesh_m.parse().expect("a mesh size in m"), None),
+        ["sweep", mesh_m, folder] => sweep(mesh_m.parse().expect("a mesh size in m"), Some(Path::new(folder))),
         ["inputs", inputs] => any(inputs),
         _ => println!("flows or sweep and a mesh size in m, or inputs and JSON"),
     }

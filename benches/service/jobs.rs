@@ -116,7 +116,7 @@ async fn states(mib: usize) -> Outcome<()> {
     let folder = tempfile::tempdir()?;
     let store = Store::open(folder.path()).await?;
     let engine: Arc<dyn Engine> = Arc::new(Local::default());
-    let rules = Rules { most_waiting: 10, lease: Duration::from_secs(30) };
+    let rules = Rules { most_waiting: 10, lease: Duration::from_secs(30), runout_memory_bytes: 2 << 30 };
     let artifacts = Artifacts::folder(&folder.path().join("artifacts"))?;
     let desk = Desk::new(store.clone(), Arc::clone(&engine), artifacts, rules);
     let state = vec![1_u8; mib * 1024 * 1024];

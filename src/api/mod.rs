@@ -10,6 +10,7 @@ mod feature_sets;
 mod forecasts;
 mod health;
 mod imports;
+mod issued;
 mod job_frames;
 mod job_history;
 mod job_results;
@@ -24,8 +25,11 @@ mod processes;
 mod respond;
 mod router;
 mod scenarios;
+mod selections;
 mod spool;
 pub(crate) mod stations;
+mod verification;
+mod what_if;
 
 use std::sync::Arc;
 

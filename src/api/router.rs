@@ -24,11 +24,11 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use super::{
     AppState, auth, avalanches, dataset_hits, datasets, docs,
     extract::BodyLimit,
-    feature_sets, forecasts, health, imports, job_frames, job_history,
+    feature_sets, forecasts, health, imports, issued, job_frames, job_history,
     job_results::{self, REPR_DIGEST},
     jobs, landing, metrics, models, observations, openapi,
     problem::{ApiError, REQUEST_ID, from_panic},
-    processes, scenarios, stations,
+    processes, scenarios, selections, stations, verification, what_if,
 };
 use crate::domain::{
     ids::new_id,
@@ -44,13 +44,13 @@ const LONGEST_REQUEST_ID: usize = 128;
 fn vital_signs() -> OpenApiRouter<AppState> {
     OpenApiRouter::with_openapi(openapi::Document::openapi())
         .routes(routes!(health::livez))
+        .routes(routes!(health::readyz))
         .routes(routes!(metrics::metrics))
 }
 
 fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         // the service itself
-        .routes(routes!(health::readyz))
         .routes(routes!(docs::openapi_json))
         .routes(routes!(docs::list_problems))
         .routes(routes!(docs::get_problem))
@@ -91,11 +91,17 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(models::get_model))
         .routes(routes!(models::get_evaluation))
         .routes(routes!(models::get_features))
+        .routes(routes!(selections::get_selection))
         .routes(routes!(models::get_active_model, models::put_active_model))
         .routes(routes!(forecasts::list_forecasts))
         .routes(routes!(forecasts::get_latest_forecast))
-        .routes(routes!(forecasts::get_forecast))
+        .routes(routes!(forecasts::get_forecast, issued::issue_forecast))
         .routes(routes!(forecasts::list_similar_days))
+        .routes(routes!(forecasts::explain_forecast))
+        .routes(routes!(what_if::ask_what_if))
+        .routes(routes!(issued::get_issued_forecast))
+        .routes(routes!(issued::put_forecaster_call))
+        .routes(routes!(verification::verify_forecasts))
 }
 
 /// The contract of all addresses, before [`openapi`] completes it.

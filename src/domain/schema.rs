@@ -104,15 +104,18 @@ pub fn read<T: DeserializeOwned + ToSchema + 'static>(value: &Value, prefix: &st
     serde_path_to_error::deserialize(value).map_err(|error| explain::<T>(value, &error, prefix))
 }
 
-/// Every field of `value` at fault by the schema of `T`; the reader's own words where the schema finds nothing.
+/// Faults of one document that are named; whoever mends these learns of more.
+const MOST_FAULTS: usize = 20;
+
+/// The fields of `value` at fault by the schema of `T`; the reader's own words where the schema finds nothing.
 pub fn explain<T: ToSchema + 'static>(
     value: &Value,
     error: &serde_path_to_error::Error<serde_json::Error>,
     prefix: &str,
 ) -> Vec<FieldError> {
     let mut faults = explainer::<T>().map_or_else(Vec::new, |explainer| {
-        let errors = explainer.validator.iter_errors(value).take(50);
-        errors.flat_map(|error| explainer.faults(&error, prefix)).collect()
+        let errors = explainer.validator.iter_errors(value).take(MOST_FAULTS);
+        errors.flat_map(|error| explainer.faults(&error, prefix)).take(MOST_FAULTS).collect()
     });
     if faults.is_empty() {
         faults.push(reader_fault(error, prefix));
@@ -156,11 +159,15 @@ impl Explainer {
             }
             ValidationErrorKind::AdditionalProperties { unexpected } => {
                 let known = self.known_properties(error);
-                let fault = |name: &String| {
-                    let detail = format!("is not a field here; accepted: {known}");
-                    FieldError::new(format!("{at}/{}", escape(name)), "unknown_field", detail)
+                // the list once: a body of nothing but unknown fields must not come back many times as large
+                let fault = |(place, name): (usize, &String)| {
+                    let detail = match place {
+                        0 => format!("is not a field here; accepted: {known}"),
+                        _ => "is not a field here either".to_owned(),
+                    };
+                    FieldError::new(format!("{at}/{}", escape(&short(name.clone()))), "unknown_field", detail)
                 };
-                unexpected.iter().map(fault).collect()
+                unexpected.iter().take(MOST_FAULTS).enumerate().map(fault).collect()
             }
             ValidationErrorKind::Required { property } => {
                 let name = property.as_str().unwrap_or_default();
@@ -194,7 +201,7 @@ impl Explainer {
         };
         let meant: Vec<_> = context.iter().filter(|branch| !wants_null(branch)).collect();
         match meant.as_slice() {
-            [branch] => branch.iter().flat_map(|error| self.faults(error, prefix)).collect(),
+            [branch] => branch.iter().flat_map(|error| self.faults(error, prefix)).take(MOST_FAULTS).collect(),
             _ => vec![FieldError::new(at, "no_alternative", short(error.to_string()))],
         }
     }

@@ -26,21 +26,20 @@ pub struct Entry {
 #[error("these bytes are no film of frames")]
 pub struct Damaged;
 
-/// The film of some frames, each with its time since release in s.
+/// Header and table of a film, which its frames follow one after the other: of each its time since release in s and its
+/// length in bytes.
 #[must_use]
-pub fn write(frames: &[(f64, Vec<u8>)]) -> Vec<u8> {
+pub fn head(frames: &[(f64, u64)]) -> Vec<u8> {
     let mut begin = HEADER_BYTES + LINE_BYTES * frames.len() as u64;
-    let size = frames.iter().map(|(_, frame)| frame.len()).sum::<usize>() + begin as usize;
-    let mut bytes = Vec::with_capacity(size);
+    let mut bytes = Vec::with_capacity(begin as usize);
     bytes.extend_from_slice(MAGIC);
     bytes.extend_from_slice(&(frames.len() as u64).to_le_bytes());
-    for (time_s, frame) in frames {
+    for (time_s, length) in frames {
         bytes.extend_from_slice(&time_s.to_le_bytes());
         bytes.extend_from_slice(&begin.to_le_bytes());
-        bytes.extend_from_slice(&(frame.len() as u64).to_le_bytes());
-        begin += frame.len() as u64;
+        bytes.extend_from_slice(&length.to_le_bytes());
+        begin += length;
     }
-    frames.iter().for_each(|(_, frame)| bytes.extend_from_slice(frame));
     bytes
 }
 
@@ -84,7 +83,8 @@ mod tests {
     proptest! {
         #[test]
         fn every_frame_is_found_again(frames in prop::collection::vec((0.0..60.0, prop::collection::vec(any::<u8>(), 0..50)), 0..20)) {
-            let film = write(&frames);
+            let table: Vec<(f64, u64)> = frames.iter().map(|(time_s, frame)| (*time_s, frame.len() as u64)).collect();
+            let film: Vec<u8> = std::iter::chain([head(&table)], frames.iter().map(|(_, frame)| frame.clone())).flatten().collect();
             let table = table_bytes(&film[..HEADER_BYTES as usize]).unwrap();
             let entries = read_table(&film[table.start as usize..table.end as usize]).unwrap();
             let found: Vec<_> = entries

@@ -13,6 +13,7 @@ pub mod ndjson;
 pub mod observations_csv;
 mod report;
 pub mod sais;
+pub mod selection_svg;
 mod text;
 
 pub use report::{

@@ -6,7 +6,9 @@ use std::{
     sync::Arc,
 };
 
-use object_store::{ObjectStore, ObjectStoreExt, PutPayload, local::LocalFileSystem, path::Path as Key};
+use object_store::{
+    ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart, local::LocalFileSystem, path::Path as Key,
+};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
@@ -99,13 +101,44 @@ impl Artifacts {
     /// Stores an output and says how to find it; storing the same bytes again changes nothing.
     ///
     /// # Errors
-    /// [`ArtifactError`] where the bytes could not be stored.
+    /// [`ArtifactError`] where the bytes could not be stored, or a piece is not there.
     pub async fn put(&self, artifact: &Artifact) -> Result<OutputRecord, ArtifactError> {
-        let sha256: String = Sha256::digest(&artifact.bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        let payload = PutPayload::from(artifact.bytes.clone());
-        self.0.put(&key(&sha256), payload).await?;
-        let size = artifact.bytes.len() as u64;
+        let (sha256, size) = if artifact.pieces.is_empty() {
+            (self.put_piece(&artifact.bytes).await?, artifact.bytes.len() as u64)
+        } else {
+            self.join(artifact).await?
+        };
         Ok(OutputRecord { name: artifact.name.clone(), media_type: artifact.media_type.clone(), size, sha256 })
+    }
+
+    /// Stores bytes under their digest, and returns it.
+    ///
+    /// # Errors
+    /// [`ArtifactError`] where they could not be stored.
+    pub async fn put_piece(&self, bytes: &[u8]) -> Result<String, ArtifactError> {
+        let sha256 = digest(bytes);
+        self.0.put(&key(&sha256), PutPayload::from(bytes.to_vec())).await?;
+        Ok(sha256)
+    }
+
+    /// Puts an output together of its bytes and its pieces, of which only one is in memory at a time: the first pass finds
+    /// the digest under which the second one writes.
+    async fn join(&self, artifact: &Artifact) -> Result<(String, u64), ArtifactError> {
+        let (mut sum, mut size) = (Sha256::new_with_prefix(&artifact.bytes), artifact.bytes.len() as u64);
+        for piece in &artifact.pieces {
+            let bytes = self.0.get(&key(piece)).await?.bytes().await?;
+            sum.update(&bytes);
+            size += bytes.len() as u64;
+        }
+        let sha256 = hex(&sum.finalize());
+        let mut upload = WriteMultipart::new(self.0.put_multipart(&key(&sha256)).await?);
+        upload.write(&artifact.bytes);
+        for piece in &artifact.pieces {
+            upload.wait_for_capacity(1).await?;
+            upload.put(self.0.get(&key(piece)).await?.bytes().await?);
+        }
+        upload.finish().await?;
+        Ok((sha256, size))
     }
 
     /// Some of the bytes under a digest.
@@ -152,6 +185,16 @@ async fn s3(_: &str, _: &str) -> Result<Artifacts, ArtifactError> {
     Err(ArtifactError::NoS3)
 }
 
+/// SHA-256 of bytes, in hex: under which they are stored.
+#[must_use]
+pub fn digest(bytes: &[u8]) -> String {
+    hex(&Sha256::digest(bytes))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 fn key(sha256: &str) -> Key {
     Key::from(sha256)
 }
@@ -169,6 +212,27 @@ mod tests {
         for bad in ["", "s3://", "s3:///p", "gs://b/p"] {
             assert!(bad.parse::<ArtifactAddress>().is_err(), "{bad}");
         }
+    }
+
+    #[tokio::test]
+    async fn pieces_follow_the_bytes_of_an_output() {
+        let folder = tempfile::tempdir().unwrap();
+        let artifacts = Artifacts::folder(folder.path()).unwrap();
+        // one more byte than a part of an upload has
+        let pieces = [vec![1; 5 * 1024 * 1024 + 1], vec![2; 3], Vec::new()];
+        let mut named = Vec::new();
+        for piece in &pieces {
+            named.push(artifacts.put_piece(piece).await.unwrap());
+        }
+        named.push(named[1].clone());
+        let artifact = Artifact { name: "a".into(), media_type: "b".into(), bytes: vec![0; 7], pieces: named };
+        let expected = [&[0; 7], &*pieces[0], &[2; 6]].concat();
+        let record = artifacts.put(&artifact).await.unwrap();
+        assert_eq!((record.size, &record.sha256), (expected.len() as u64, &digest(&expected)));
+        assert_eq!(artifacts.put(&artifact).await.unwrap(), record);
+        assert!(artifacts.get(&record.sha256, 0..record.size).await.unwrap() == expected);
+        let missing = Artifact { pieces: vec![digest(b"nothing")], ..artifact };
+        assert!(artifacts.put(&missing).await.is_err());
     }
 
     #[cfg(not(feature = "s3"))]

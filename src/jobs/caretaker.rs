@@ -63,6 +63,9 @@ pub async fn run(desk: Desk, keep: Keep, stop: CancellationToken) {
         if let Err(error) = issue_lost(&desk, before).await {
             tracing::error!(%error, "lost tickets could not be looked for");
         }
+        if let Err(error) = desk.sweep_pieces().await {
+            tracing::error!(%error, "pieces of outputs that are no more needed could not be removed");
+        }
         if round.is_multiple_of(ROUNDS_TO_RETIRE)
             && let Err(error) = retire(&desk, keep).await
         {
@@ -87,9 +90,11 @@ async fn issue_lost(desk: &Desk, ticketed_before: Timestamp) -> Result<(), Store
 
 async fn issue_again(desk: &Desk, ticketed_before: Timestamp) -> Result<(), StoreError> {
     let jobs = desk.store().jobs_without_ticket(ticketed_before, clock::now(), MOST_TICKETS).await?;
-    desk.ticket(&jobs).await;
+    // marked first: where the engine does not take them, that is noted after
     let ids: Vec<_> = jobs.iter().map(|(id, ..)| *id).collect();
-    desk.store().mark_ticketed(&ids, clock::now()).await
+    desk.store().mark_ticketed(&ids, clock::now()).await?;
+    desk.ticket(&jobs).await;
+    Ok(())
 }
 
 async fn retire(desk: &Desk, keep: Keep) -> Result<(), StoreError> {

@@ -1,8 +1,9 @@
 //! What a running computation and its worker share: the worker's side of [`Progress`].
 
 use std::{
+    collections::VecDeque,
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc, Condvar, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, Ordering},
     },
     time::{Duration, Instant},
@@ -14,6 +15,21 @@ use tokio::sync::Notify;
 use super::spacing::Spacing;
 use crate::domain::job::{Report, Spent};
 
+/// Pieces that may be on their way at once; a computation that is faster waits.
+const MOST_PIECES: usize = 4;
+
+/// How long a computation waits for room before it looks again whether it is still wanted.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// Something that nobody has stored yet.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Unstored {
+    /// A piece of an output.
+    Piece(Arc<Vec<u8>>),
+    /// A state to go on from.
+    State(Arc<Vec<u8>>),
+}
+
 /// The handle of one attempt.
 pub struct Control {
     begun: Instant,
@@ -22,7 +38,8 @@ pub struct Control {
     stepped: AtomicBool,
     resumed: Option<Vec<u8>>,
     state: Mutex<State>,
-    unsaved: Notify,
+    unstored: Notify,
+    room: Condvar,
 }
 
 #[derive(Default)]
@@ -36,6 +53,8 @@ struct State {
     storing: Duration,
     // kept until it is stored: what is on its way may not arrive
     unsaved: Option<Arc<Vec<u8>>>,
+    // in the order in which they came
+    pieces: VecDeque<Arc<Vec<u8>>>,
 }
 
 impl Control {
@@ -49,7 +68,8 @@ impl Control {
             stepped: AtomicBool::new(false),
             resumed,
             state: Mutex::default(),
-            unsaved: Notify::new(),
+            unstored: Notify::new(),
+            room: Condvar::new(),
         }
     }
 
@@ -92,14 +112,32 @@ impl Control {
         self.state().unsaved.clone()
     }
 
-    /// Waits for a state that nobody has stored yet.
-    pub async fn next_unsaved(&self) -> Arc<Vec<u8>> {
+    /// The oldest piece that nobody has stored yet.
+    #[must_use]
+    pub fn piece(&self) -> Option<Arc<Vec<u8>>> {
+        self.state().pieces.front().cloned()
+    }
+
+    /// Waits for something that nobody has stored yet; a state may name any piece, and so comes after them.
+    pub async fn next_unstored(&self) -> Unstored {
         loop {
-            if let Some(bytes) = self.unsaved() {
-                return bytes;
+            if let Some(piece) = self.piece() {
+                return Unstored::Piece(piece);
             }
-            self.unsaved.notified().await;
+            if let Some(bytes) = self.unsaved() {
+                return Unstored::State(bytes);
+            }
+            self.unstored.notified().await;
         }
+    }
+
+    /// Notes that the oldest piece is stored.
+    pub fn kept(&self, piece: &Arc<Vec<u8>>) {
+        let mut state = self.state();
+        if state.pieces.front().is_some_and(|oldest| Arc::ptr_eq(oldest, piece)) {
+            state.pieces.pop_front();
+        }
+        self.room.notify_all();
     }
 
     /// Notes that a state is stored, which took `storing`.
@@ -189,10 +227,21 @@ impl Progress for Control {
         state.spacing.saved(taken, saving);
         state.saving += saving;
         state.unsaved = Some(Arc::new(bytes));
-        self.unsaved.notify_one();
+        self.unstored.notify_one();
         if pausing {
             self.cancel();
         }
+    }
+
+    fn keep(&self, piece: Vec<u8>) -> Result<(), Vec<u8>> {
+        self.step();
+        let mut state = self.state();
+        while state.pieces.len() >= MOST_PIECES && !self.cancelled() {
+            state = self.room.wait_timeout(state, LOOK).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        state.pieces.push_back(Arc::new(piece));
+        self.unstored.notify_one();
+        Ok(())
     }
 
     fn resumed(&self) -> Option<&[u8]> {
@@ -244,12 +293,52 @@ mod tests {
     }
 
     #[test]
+    fn pieces_are_stored_in_their_order_and_before_states() {
+        let control = Control::new(None);
+        for piece in 0..3 {
+            control.keep(vec![piece]).unwrap();
+        }
+        control.pause();
+        control.checkpoint(&|| vec![9]);
+        let next = || tokio::runtime::Builder::new_current_thread().build().unwrap().block_on(control.next_unstored());
+        for expected in 0..3 {
+            let Unstored::Piece(piece) = next() else { panic!("a state came before a piece") };
+            assert_eq!(*piece, [expected]);
+            // what was not stored is given again
+            assert_eq!(next(), Unstored::Piece(Arc::clone(&piece)));
+            control.kept(&piece);
+            control.kept(&piece);
+        }
+        assert_eq!(next(), Unstored::State(Arc::new(vec![9])));
+    }
+
+    #[test]
+    fn a_computation_waits_for_its_pieces_until_there_is_room_or_it_is_stopped() {
+        let control = Control::new(None);
+        for piece in 0..MOST_PIECES {
+            control.keep(vec![piece as u8]).unwrap();
+        }
+        let waits = |free: &dyn Fn()| {
+            std::thread::scope(|scope| {
+                let waiting = scope.spawn(|| control.keep(vec![9]).unwrap());
+                std::thread::sleep(2 * LOOK);
+                assert!(!waiting.is_finished() && control.has_stepped());
+                free();
+                waiting.join().unwrap();
+            });
+        };
+        waits(&|| control.kept(&control.piece().unwrap()));
+        waits(&|| control.cancel());
+    }
+
+    #[test]
     fn whatever_a_computation_says_is_a_step() {
         let control = Control::new(None);
-        let says: [&dyn Fn(); 4] = [
+        let says: [&dyn Fn(); 5] = [
             &|| Progress::report(&control, 0.1, "a"),
             &|| control.rate(1.0, "seasons"),
             &|| control.checkpoint(&Vec::new),
+            &|| control.keep(vec![1]).unwrap(),
             &|| assert!(!control.cancelled()),
         ];
         for say in says {

@@ -68,16 +68,19 @@ pub struct Output {
     pub split: Vec<Part>,
 }
 
-/// A large output.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// A large output: its bytes, and after them those of its pieces.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Artifact {
     /// Its name in the results.
     pub name: String,
     /// Its media type.
     pub media_type: String,
-    /// Its bytes.
+    /// Its bytes, or the first of them.
     #[serde(with = "serde_bytes")]
     pub bytes: Vec<u8>,
+    /// Digests (SHA-256, hex) of the pieces that were handed over while it was computed and that follow.
+    #[serde(default)]
+    pub pieces: Vec<String>,
 }
 
 /// A part of a job that is a job of its own.
@@ -111,6 +114,9 @@ pub trait JobLink: Send + Sync {
 
     /// A state to go on from, should the worker be lost.
     fn checkpoint<'a>(&'a self, job: Uuid, attempt: u32, bytes: &'a [u8]) -> Boxed<'a, Result<Verdict, LinkError>>;
+
+    /// A piece of an output, which the delivery names by its digest.
+    fn keep<'a>(&'a self, job: Uuid, attempt: u32, piece: &'a [u8]) -> Boxed<'a, Result<Verdict, LinkError>>;
 
     /// Gives the job back unfinished.
     fn release(&self, job: Uuid, attempt: u32, spent: Spent) -> Boxed<'_, Result<Verdict, LinkError>>;

@@ -57,6 +57,12 @@ enum Ask {
         #[serde(with = "serde_bytes")]
         bytes: Vec<u8>,
     },
+    Keep {
+        job: Uuid,
+        attempt: u32,
+        #[serde(with = "serde_bytes")]
+        piece: Vec<u8>,
+    },
     Release {
         job: Uuid,
         attempt: u32,
@@ -197,6 +203,10 @@ impl JobLink for NatsLink {
         Box::pin(self.verdict(Ask::Checkpoint { job, attempt, bytes: bytes.to_vec() }))
     }
 
+    fn keep<'a>(&'a self, job: Uuid, attempt: u32, piece: &'a [u8]) -> Boxed<'a, Result<Verdict, LinkError>> {
+        Box::pin(self.verdict(Ask::Keep { job, attempt, piece: piece.to_vec() }))
+    }
+
     fn release(&self, job: Uuid, attempt: u32, spent: Spent) -> Boxed<'_, Result<Verdict, LinkError>> {
         Box::pin(self.verdict(Ask::Release { job, attempt, spent }))
     }
@@ -259,6 +269,7 @@ async fn decide(desk: &Desk, ask: Ask) -> Reply {
         Ask::Beat { job, attempt, report } => desk.beat(job, attempt, &report).await.map(Reply::Verdict),
         Ask::Log { job, attempt, lines } => desk.log(job, attempt, &lines).await.map(|()| Reply::Done),
         Ask::Checkpoint { job, attempt, bytes } => desk.checkpoint(job, attempt, &bytes).await.map(Reply::Verdict),
+        Ask::Keep { job, attempt, piece } => desk.keep(job, attempt, &piece).await.map(Reply::Verdict),
         Ask::Release { job, attempt, spent } => desk.release(job, attempt, spent).await.map(Reply::Verdict),
         Ask::Finish { job, attempt, delivery, spent } => {
             desk.finish(job, attempt, &delivery, spent).await.map(Reply::Verdict)

@@ -17,7 +17,7 @@ use tokio_util::{sync::CancellationToken, task::TaskTracker};
 use uuid::Uuid;
 
 use super::{
-    control::Control,
+    control::{Control, Unstored},
     engine::{Engine, Lease},
     link::{Assignment, Delivery, JobLink, LinkError, Output, Verdict},
     processes::{Failure, Process},
@@ -253,22 +253,23 @@ impl Worker {
             biased;
             result = computed => End::Computed(result.unwrap_or_else(|_| Err(Box::new("the pool is gone")))),
             () = self.beats(&*lease, attempt, control) => End::Stalled,
-            () = self.states(attempt, control) => End::Stalled,
+            () = self.stores(attempt, control) => End::Stalled,
         };
         self.running().retain(|(running, held)| *running != id || !Arc::ptr_eq(held, control));
 
-        if control.is_pausing()
-            && let Some(bytes) = control.unsaved()
-        {
-            let begun = Instant::now();
-            // where it fails, the state before counts: some work is done twice, none is lost
-            if self.0.link.checkpoint(id, attempt.number, &bytes).await.is_ok() {
-                control.stored(&bytes, begun.elapsed());
-            }
+        if control.is_pausing() {
+            self.store_last(attempt, control).await;
         }
         let spent = control.spent();
         let (delivery, threads) = match end {
-            End::Computed(Ok(Ok(output))) => (Delivery::Finished(output), Threads::Free),
+            End::Computed(Ok(Ok(output))) => {
+                // what the output names must be there before it
+                if !self.store_pieces(&*lease, attempt, control).await {
+                    lease.put_back(Duration::ZERO).await;
+                    return Threads::Free;
+                }
+                (Delivery::Finished(output), Threads::Free)
+            }
             End::Computed(Ok(Err(Failure::Cancelled))) => {
                 self.give_back(lease, attempt, spent, control.is_pausing()).await;
                 return Threads::Free;
@@ -317,20 +318,61 @@ impl Worker {
         }
     }
 
-    /// Stores each state as soon as it is saved, beside the heartbeat: a large one takes its time.
-    async fn states(&self, attempt: Attempt, control: &Control) {
+    /// Stores each piece and each state as soon as it is there, beside the heartbeat: a large one takes its time.
+    async fn stores(&self, attempt: Attempt, control: &Control) {
         loop {
-            let bytes = control.next_unsaved().await;
-            let begun = Instant::now();
-            let stored = self.0.link.checkpoint(attempt.id, attempt.number, &bytes).await;
-            if stored.is_ok() {
-                control.stored(&bytes, begun.elapsed());
-            } else {
-                // it is not given up: the next try takes this state or a newer one
+            let next = control.next_unstored().await;
+            let stored = self.store(attempt, control, &next).await;
+            if stored.is_err() {
+                // it is not given up: the next try takes this piece, or this state or a newer one
                 tokio::time::sleep(RETRY).await;
             }
             stop_where_fenced(control, stored, attempt.id);
         }
+    }
+
+    async fn store(&self, attempt: Attempt, control: &Control, next: &Unstored) -> Result<Verdict, LinkError> {
+        let begun = Instant::now();
+        match next {
+            Unstored::Piece(piece) => {
+                let verdict = self.0.link.keep(attempt.id, attempt.number, piece).await?;
+                control.kept(piece);
+                Ok(verdict)
+            }
+            Unstored::State(bytes) => {
+                let verdict = self.0.link.checkpoint(attempt.id, attempt.number, bytes).await?;
+                control.stored(bytes, begun.elapsed());
+                Ok(verdict)
+            }
+        }
+    }
+
+    /// The last state of an attempt that is given back, after the pieces that it names. Where that fails, the state before
+    /// counts: some work is done twice, none is lost.
+    async fn store_last(&self, attempt: Attempt, control: &Control) {
+        while let Some(piece) = control.piece() {
+            if self.store(attempt, control, &Unstored::Piece(piece)).await.is_err() {
+                return;
+            }
+        }
+        if let Some(bytes) = control.unsaved() {
+            let _ = self.store(attempt, control, &Unstored::State(bytes)).await;
+        }
+    }
+
+    /// Stores the pieces that are left, however often that takes; false where the worker ends before.
+    async fn store_pieces(&self, lease: &dyn Lease, attempt: Attempt, control: &Control) -> bool {
+        while let Some(piece) = control.piece() {
+            if let Err(error) = self.store(attempt, control, &Unstored::Piece(piece)).await {
+                tracing::warn!(job = %attempt.id, %error, "a piece of a result could not be stored; trying again");
+                if self.0.stopping.is_cancelled() {
+                    return false;
+                }
+                tokio::time::sleep(RETRY).await;
+                let _ = lease.extend().await;
+            }
+        }
+        true
     }
 
     /// The end of an attempt that was asked to stop: given back where the worker stops, of no more use where the job was

@@ -28,6 +28,15 @@ pub trait Progress: Sync {
         let _ = state;
     }
 
+    /// Hands over a piece of a result that is too large to be held until the end. Pieces are stored in the order in which they
+    /// come and before any state that is offered later, so that a state may name them. It waits while many are on their way.
+    ///
+    /// # Errors
+    /// The piece itself where nobody stores pieces, as by default: the computation holds it.
+    fn keep(&self, piece: Vec<u8>) -> Result<(), Vec<u8>> {
+        Err(piece)
+    }
+
     /// The state that an earlier attempt of the same work saved last, if there was one.
     fn resumed(&self) -> Option<&[u8]> {
         None

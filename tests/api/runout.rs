@@ -1,10 +1,16 @@
 //! An engineer simulates a run-out, looks at its numbers and frames, and is told what cannot be simulated.
 
+use std::time::{Duration, Instant};
+
 use firn::science::runout::frames;
+use jiff::Timestamp;
+use reqwest::Method;
 use serde_json::{Value, json};
 
 use crate::support::{
     TestApp,
+    app::data_dir,
+    binary::Serving,
     trained::{id, until},
 };
 
@@ -129,4 +135,83 @@ async fn scenarios_are_those_of_the_published_table() {
         assert_eq!(of(name)["snow"], Value::Null);
     }
     assert_eq!(of("cold-dense")["snow"]["p0_kpa"], 3.0);
+}
+
+#[tokio::test]
+async fn a_dismissed_run_frees_its_slot_within_a_second() {
+    let app = TestApp::with(|config| (config.job_slots, config.compute_threads) = (1, 1)).await;
+    // 614,400 particles: few steps a second
+    let inputs = json!({"scenario": "group-5", "snow": {"M": 0.5, "beta": 0, "xi": 1, "p0_kpa": 3}});
+    let run = app.post(EXECUTION).json(&json!({"inputs": inputs})).await.json(201);
+    until(&app, id(&run), |job| job["rate"].as_f64() > Some(0.0)).await;
+    let next = app.post("/v1/processes/echo/execution").json(&json!({"inputs": {"message": "a"}})).await.json(201);
+    let dismissed = app.delete(&format!("/v1/jobs/{}", id(&run))).await.json(200);
+    let next = until(&app, id(&next), |job| job["status"] == "successful").await;
+    let at = |time: &Value| time.as_str().unwrap().parse::<Timestamp>().unwrap();
+    let waited = at(&next["started"]).duration_since(at(&dismissed["finished"]));
+    assert!(waited.as_millis() <= 1000, "the slot was freed after {waited}");
+}
+
+#[tokio::test]
+async fn a_mesh_that_the_server_has_no_memory_for_is_refused_with_the_setting() {
+    let app = TestApp::with(|config| config.runout_memory_bytes = 1 << 20).await;
+    let inputs = json!({"scenario": "cold-dense", "mesh_m": 0.1});
+    let problem = app.post(EXECUTION).json(&json!({"inputs": inputs})).await.problem("invalid-inputs");
+    let detail = problem["errors"][0]["detail"].as_str().unwrap();
+    assert_eq!(problem["errors"][0]["pointer"], "/inputs/mesh_m");
+    assert!(detail.contains("9600 particles") && detail.contains("1048576 bytes"), "{detail}");
+    assert!(detail.contains("runout_memory_mib"), "{detail}");
+}
+
+/// The film is longer than one piece: what a server stored before it was stopped and what the next one computed make one, with
+/// the bits of a film that was never interrupted.
+#[tokio::test]
+async fn the_film_of_a_run_goes_on_over_a_restart() {
+    const ONE_SLOT: [&str; 4] = ["--job-slots", "1", "--compute-threads", "1"];
+    let data = data_dir();
+    let inputs = json!({"inputs": {"scenario": "cold-dense", "mesh_m": 0.1, "end_time_s": 6.5}});
+    let submit = async |server: &Serving| {
+        let call = server.call(Method::POST, EXECUTION).json(&inputs).header("cache-control", "no-cache");
+        call.await.json(201)["jobID"].as_str().unwrap().to_owned()
+    };
+    let until = async |server: &Serving, job: &str, wanted: &dyn Fn(&Value) -> bool| loop {
+        let record = server.read(&format!("/v1/jobs/{job}")).await;
+        assert_ne!(record["status"], "failed", "{record}");
+        if wanted(&record) {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    };
+    let mut server = Serving::start(data.path(), &ONE_SLOT);
+    let interrupted = submit(&server).await;
+    until(&server, &interrupted, &|job| job["progress"].as_u64() >= Some(60)).await;
+    server.terminate();
+    assert_eq!(server.ended().code(), Some(0));
+    let server = Serving::start(data.path(), &ONE_SLOT);
+    let whole = submit(&server).await;
+    let mut films = Vec::new();
+    for (job, attempts) in [(&interrupted, 2), (&whole, 1)] {
+        until(&server, job, &|job| job["status"] == "successful").await;
+        assert_eq!(server.read(&format!("/v1/jobs/{job}")).await["attempt"], attempts);
+        let results = server.read(&format!("/v1/jobs/{job}/results")).await;
+        let list = server.read(&format!("/v1/jobs/{job}/frames")).await;
+        assert_eq!(list["frames"].as_array().unwrap().len(), 24 * 6 + 13);
+        // 250 KB for 38,400 particles
+        let largest = list["frames"].as_array().unwrap().iter().map(|frame| frame["bytes"].as_u64()).max().flatten();
+        assert!(largest.unwrap() < 250_000 / 4, "{largest:?}");
+        let last = server.read(&format!("/v1/jobs/{job}/frames/156")).await;
+        assert_eq!(last["x_m"].as_array().unwrap().len(), 9600);
+        films.push(
+            [&results["frames"]["sha256"], &results["series"]["sha256"], &results["frames"]["length"]]
+                .map(Value::clone),
+        );
+    }
+    assert_eq!(films[0], films[1]);
+    // the film is put together and its pieces are gone: series, profiles and film, of both jobs the same
+    assert!(films[0][2].as_u64() > Some(4 << 20), "{}: it is one piece", films[0][2]);
+    let (stored, since) = (data.path().join("artifacts"), Instant::now());
+    while std::fs::read_dir(&stored).unwrap().count() > 3 {
+        assert!(since.elapsed() < Duration::from_secs(60), "pieces are left");
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
 }

@@ -12,8 +12,9 @@ use std::{
 use firn::{
     domain::job::{Job, Report, Spent, Status},
     jobs::{
+        artifacts::digest,
         desk::Write,
-        link::{Assignment, Delivery, Output, Part, Verdict},
+        link::{Artifact, Assignment, Delivery, Output, Part, Verdict},
         processes::{Failure, Process},
     },
 };
@@ -58,6 +59,9 @@ contract! {
     a_large_state_comes_back_whole, lease 1_000 ms;
     a_computation_that_stands_still_is_failed, lease 10_000 ms;
     a_state_on_its_way_holds_nothing_up, lease 1_500 ms;
+    a_ticket_is_delivered_however_often_it_was_put_back, lease 10_000 ms;
+    pieces_of_a_lost_attempt_and_of_its_heir_make_one_output, lease 1_000 ms;
+    a_computation_hands_pieces_over_while_it_runs, lease 10_000 ms;
 }
 
 /// Claims a job as a worker would; panics where it cannot be had.
@@ -109,6 +113,17 @@ async fn every_accepted_job_ends_once(rig: Rig) {
     }
 }
 
+/// Workers that cannot reach the desk put a ticket back about once a second: it must not wear out.
+async fn a_ticket_is_delivered_however_often_it_was_put_back(rig: Rig) {
+    let id = rig.submit(json!({"message": "patient"}), 5).await;
+    for _ in 0..1_200 {
+        rig.engine.next().await.unwrap().put_back(Duration::ZERO).await;
+    }
+    let worker = rig.worker("late", 1);
+    assert_eq!(rig.ended(id).await.status, Status::Successful);
+    worker.stop(Duration::from_secs(5)).await;
+}
+
 async fn urgent_jobs_come_first_and_equals_in_their_order(rig: Rig) {
     let mut expected = Vec::new();
     for (number, priority) in [5, 0, 9, 5, 9, 5, 1].into_iter().enumerate() {
@@ -151,19 +166,20 @@ async fn an_attempt_that_was_taken_over_can_write_nothing(rig: Rig) {
     let half = Report { percent: 50, phase: "half".into(), ..Report::default() };
     assert_eq!(rig.link.beat(id, 1, &half).await.unwrap(), Verdict::Fenced);
     assert_eq!(rig.link.checkpoint(id, 1, &[1]).await.unwrap(), Verdict::Fenced);
+    assert_eq!(rig.link.keep(id, 1, &[1]).await.unwrap(), Verdict::Fenced);
     assert_eq!(rig.link.release(id, 1, spent(10)).await.unwrap(), Verdict::Fenced);
     assert_eq!(rig.link.finish(id, 1, &result("of the zombie"), spent(10)).await.unwrap(), Verdict::Fenced);
     assert_eq!(rig.job(id).await, before);
-    assert_eq!(rig.desk.fenced_writes(), 4);
+    assert_eq!(rig.desk.fenced_writes(), 5);
 
     assert_eq!(rig.link.finish(id, 2, &result("of the heir"), spent(10)).await.unwrap(), Verdict::Counts);
     assert_eq!(rig.link.finish(id, 2, &result("twice"), spent(10)).await.unwrap(), Verdict::Fenced);
     assert_eq!(rig.link.finish(id, 1, &result("too late"), spent(10)).await.unwrap(), Verdict::Fenced);
     assert_eq!(rig.store.job_results(id).await.unwrap(), Some(json!({"message": "of the heir"})));
-    assert_eq!(rig.desk.fenced_writes(), 6);
+    assert_eq!(rig.desk.fenced_writes(), 7);
     let tally = rig.desk.tally();
     let kinds = Write::ALL.map(|write| (write.name(), tally.fenced_writes(write)));
-    assert_eq!(kinds, [("beat", 1), ("log", 0), ("checkpoint", 1), ("release", 1), ("result", 3)]);
+    assert_eq!(kinds, [("beat", 1), ("log", 0), ("checkpoint", 1), ("piece", 1), ("release", 1), ("result", 3)]);
     assert_eq!((tally.attempts(Process::Echo), tally.leases_lost(), tally.dismissals()), (2, 1, 0));
     assert!(matches!(rig.link.claim(id, "third").await.unwrap(), Assignment::Over));
 }
@@ -177,11 +193,12 @@ async fn a_job_that_loses_every_worker_is_failed(rig: Rig) {
     let worker = rig.worker("next", 1);
     let job = rig.ended(id).await;
     assert_eq!((job.status, job.attempt), (Status::Failed, 5));
+    // counted after the end is stored, which is what was waited for
+    worker.stop(Duration::from_secs(5)).await;
     assert_eq!(rig.desk.tally().leases_lost(), 5);
     assert_eq!(job.exception.unwrap().code, "crashed-repeatedly");
     let log = rig.store.job_log(id).await.unwrap();
     assert_eq!(log.iter().filter(|line| line.level == "warn").count(), 4, "{log:?}");
-    worker.stop(Duration::from_secs(5)).await;
 }
 
 async fn a_lost_attempt_is_repeated_from_its_checkpoint(rig: Rig) {
@@ -389,4 +406,86 @@ async fn a_state_on_its_way_holds_nothing_up(mut rig: Rig) {
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
     assert!(since.elapsed() < Duration::from_secs(1), "it stopped after {:?}", since.elapsed());
+}
+
+/// An output that begins with these bytes.
+fn output_of(bytes: &[u8], pieces: Vec<String>) -> Delivery {
+    let artifact = Artifact { name: "film".into(), media_type: "a/b".into(), bytes: bytes.to_vec(), pieces };
+    Delivery::Finished(Output { results: json!({}), artifacts: vec![artifact], ..Output::default() })
+}
+
+/// The bytes of the only output of a job.
+async fn stored_output(rig: &Rig, id: Uuid) -> Vec<u8> {
+    let outputs = rig.store.job_outputs(id).await.unwrap();
+    assert_eq!(outputs.len(), 1);
+    rig.desk.artifacts().get(&outputs[0].sha256, 0..outputs[0].size).await.unwrap()
+}
+
+/// Waits until nothing is left of the pieces of a job that has ended.
+async fn swept(rig: &Rig, id: Uuid, pieces: &[Vec<u8>]) {
+    let since = Instant::now();
+    while !rig.store.job_pieces(id).await.unwrap().is_empty() {
+        assert!(since.elapsed() < PATIENCE);
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    for piece in pieces {
+        assert!(rig.desk.artifacts().get(&digest(piece), 0..1).await.is_err(), "a piece is left");
+    }
+}
+
+async fn pieces_of_a_lost_attempt_and_of_its_heir_make_one_output(rig: Rig) {
+    let id = rig.submit(json!({"message": "a"}), 5).await;
+    claim(&rig, id, "lost").await;
+    // larger than a message
+    let pieces = [vec![1; 1_500_000], vec![2; 3]];
+    assert_eq!(rig.link.keep(id, 1, &pieces[0]).await.unwrap(), Verdict::Counts);
+    claim(&rig, id, "heir").await;
+    assert_eq!(rig.link.keep(id, 1, &[9; 9]).await.unwrap(), Verdict::Fenced);
+    for _ in 0..2 {
+        // an answer that was lost: it is sent again
+        assert_eq!(rig.link.keep(id, 2, &pieces[1]).await.unwrap(), Verdict::Counts);
+    }
+    let named = pieces.iter().map(|piece| digest(piece)).collect();
+    assert_eq!(rig.link.finish(id, 2, &output_of(b"head", named), spent(1)).await.unwrap(), Verdict::Counts);
+    assert_eq!(rig.job(id).await.status, Status::Successful);
+    assert!(stored_output(&rig, id).await == [b"head", &*pieces[0], &pieces[1]].concat());
+    swept(&rig, id, &pieces).await;
+    assert!(stored_output(&rig, id).await.len() == 1_500_007, "the output outlives its pieces");
+
+    // what another job handed over, or nobody
+    let other = rig.submit(json!({"message": "b"}), 5).await;
+    claim(&rig, other, "thief").await;
+    let delivery = output_of(b"", vec![digest(&pieces[0])]);
+    assert_eq!(rig.link.finish(other, 1, &delivery, spent(1)).await.unwrap(), Verdict::Counts);
+    assert_eq!(rig.job(other).await.status, Status::Failed);
+
+    // of a dismissed job nothing stays
+    let dismissed = rig.submit(json!({"message": "c"}), 5).await;
+    claim(&rig, dismissed, "late").await;
+    assert_eq!(rig.link.keep(dismissed, 1, &[7; 7]).await.unwrap(), Verdict::Counts);
+    rig.desk.dismiss(dismissed).await.unwrap();
+    assert_eq!(rig.link.keep(dismissed, 1, &[8; 8]).await.unwrap(), Verdict::Fenced);
+    swept(&rig, dismissed, &[vec![7; 7], vec![8; 8]]).await;
+}
+
+async fn a_computation_hands_pieces_over_while_it_runs(rig: Rig) {
+    let id = rig.submit(json!({"message": "a"}), 5).await;
+    // more than may be on their way at once
+    let pieces: Vec<Vec<u8>> = (0..9).map(|piece| vec![piece; 600_000]).collect();
+    let made = pieces.clone();
+    let worker = rig.worker_with("a", 1, move |_, _, progress| {
+        let named = made.iter().map(|piece| digest(piece)).collect();
+        for piece in &made {
+            progress.keep(piece.clone()).expect("a worker stores pieces");
+        }
+        match output_of(b"head", named) {
+            Delivery::Finished(output) => Ok(output),
+            Delivery::Failed(_) => unreachable!(),
+        }
+    });
+    let job = rig.ended(id).await;
+    assert_eq!(job.status, Status::Successful, "{job:?}");
+    assert!(stored_output(&rig, id).await == [b"head".to_vec(), pieces.concat()].concat());
+    swept(&rig, id, &pieces).await;
+    worker.stop(Duration::from_secs(5)).await;
 }

@@ -51,7 +51,7 @@ async fn the_queue_and_what_became_of_jobs_are_counted() {
     ended(&app, &first).await;
     let after = figures(&app).await;
     assert_eq!(after["firn_job_dismissals_total"], 1.0);
-    for write in ["beat", "log", "checkpoint", "release", "result"] {
+    for write in ["beat", "log", "checkpoint", "piece", "release", "result"] {
         assert_eq!(after[&format!("firn_job_fenced_writes_total{{write=\"{write}\"}}")], 0.0);
     }
 }

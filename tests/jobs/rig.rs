@@ -173,7 +173,12 @@ async fn desk(engine: &Arc<dyn Engine>, lease: Duration) -> (Store, Desk, TempDi
     let data = data_dir();
     let store = Store::open(data.path()).await.expect("the store opens");
     let artifacts = Artifacts::folder(&data.path().join("artifacts")).expect("a folder");
-    let desk = Desk::new(store.clone(), Arc::clone(engine), artifacts, Rules { most_waiting: 10_000, lease });
+    let desk = Desk::new(
+        store.clone(),
+        Arc::clone(engine),
+        artifacts,
+        Rules { most_waiting: 10_000, lease, runout_memory_bytes: 2 << 30 },
+    );
     (store, desk, data)
 }
 
@@ -203,6 +208,10 @@ impl JobLink for SlowStates {
             tokio::time::sleep(self.delay).await;
             self.link.checkpoint(job, attempt, bytes).await
         })
+    }
+
+    fn keep<'a>(&'a self, job: Uuid, attempt: u32, piece: &'a [u8]) -> Boxed<'a, Result<Verdict, LinkError>> {
+        self.link.keep(job, attempt, piece)
     }
 
     fn release(&self, job: Uuid, attempt: u32, spent: Spent) -> Boxed<'_, Result<Verdict, LinkError>> {

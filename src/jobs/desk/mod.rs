@@ -66,6 +66,8 @@ pub struct Rules {
     pub most_waiting: u32,
     /// How long a worker may be silent before its job is given to another.
     pub lease: Duration,
+    /// The most memory that the particles and the grid of a run-out may take, bytes.
+    pub runout_memory_bytes: u64,
 }
 
 /// A wish to have a process executed.
@@ -135,7 +137,11 @@ impl Desk {
 
     /// What processes may read.
     fn shelf(&self) -> Shelf<'_> {
-        Shelf { store: &self.0.store, artifacts: &self.0.artifacts }
+        Shelf {
+            store: &self.0.store,
+            artifacts: &self.0.artifacts,
+            runout_memory_bytes: self.0.rules.runout_memory_bytes,
+        }
     }
 
     /// Stores a data set with the file of its columns; once this returns, both are on disk.
@@ -308,6 +314,20 @@ impl Desk {
         let (jobs, digests) = self.0.store.retire_jobs(retention).await?;
         self.0.artifacts.remove(&digests).await;
         Ok(jobs)
+    }
+
+    /// Removes the pieces of outputs of jobs that have ended: the outputs are put together, or never will be.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where it cannot be stored.
+    pub async fn sweep_pieces(&self) -> Result<(), StoreError> {
+        if !self.0.store.has_spare_pieces().await? {
+            return Ok(());
+        }
+        let _alone = self.0.naming.write().await;
+        let digests = self.0.store.forget_pieces().await?;
+        self.0.artifacts.remove(&digests).await;
+        Ok(())
     }
 
     /// Issues tickets; where the engine does not answer, the caretaker issues them later.

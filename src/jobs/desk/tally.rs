@@ -13,6 +13,8 @@ pub enum Write {
     Log,
     /// A state to go on from.
     Checkpoint,
+    /// A piece of an output.
+    Piece,
     /// That it gives the job back.
     Release,
     /// How it ended.
@@ -21,7 +23,7 @@ pub enum Write {
 
 impl Write {
     /// Every kind.
-    pub const ALL: [Self; 5] = [Self::Beat, Self::Log, Self::Checkpoint, Self::Release, Self::Result];
+    pub const ALL: [Self; 6] = [Self::Beat, Self::Log, Self::Checkpoint, Self::Piece, Self::Release, Self::Result];
 
     /// Its name among the figures of the service.
     #[must_use]
@@ -30,6 +32,7 @@ impl Write {
             Self::Beat => "beat",
             Self::Log => "log",
             Self::Checkpoint => "checkpoint",
+            Self::Piece => "piece",
             Self::Release => "release",
             Self::Result => "result",
         }

@@ -17,6 +17,7 @@ use crate::{
         problem::{Code, Problem},
     },
     jobs::{
+        artifacts::digest,
         engine::Boxed,
         link::{Artifact, Assignment, Delivery, JobLink, LinkError, LogLine, Output, Verdict},
         processes::Process,
@@ -76,7 +77,14 @@ impl Desk {
             None => Err(Problem::new(Code::JobFailed, format!("there is no process {} any more", job.process_id))),
         };
         match payload {
-            Ok(payload) => Ok(Assignment::Taken { job, payload, checkpoint, lease_ms: ms(self.lease()) }),
+            Ok(payload) => {
+                if payload.input_hash != job.input_hash {
+                    // what the inputs name was edited while the job waited: it is found again by what it computes
+                    self.0.store.set_input_hash(job.id, job.attempt, &payload.input_hash).await.map_err(link)?;
+                }
+                let lease_ms = ms(self.lease());
+                Ok(Assignment::Taken { job, payload: payload.bytes, checkpoint, lease_ms })
+            }
             Err(problem) if problem.code == Code::Internal => {
                 // not the fault of the job: it is tried again
                 self.0.store.release_job(job.id, job.attempt, Spent::default(), clock::now()).await.map_err(link)?;
@@ -153,6 +161,12 @@ impl Desk {
             // before its outputs are stored, which nobody would remove
             return self.fenced(Write::Result, StoreError::Fenced);
         }
+        let pieces = output.artifacts.iter().flat_map(|artifact| &artifact.pieces);
+        if let Some(piece) = self.foreign(id, pieces.collect()).await? {
+            let detail = format!("an output names the piece {piece}, which was not handed over");
+            let outcome = Outcome::Failed(Exception { code: Code::JobFailed.slug().into(), detail });
+            return self.verdict(Write::Result, self.end(id, attempt, outcome, None, spent).await);
+        }
         let _naming = self.0.naming.read().await;
         let mut outputs = Vec::new();
         let (mut results, large) = apart(&output.results);
@@ -166,6 +180,25 @@ impl Desk {
         }
         let outcome = Outcome::Successful { results, outputs };
         self.verdict(Write::Result, self.end(id, attempt, outcome, output.keep.as_ref(), spent).await)
+    }
+
+    /// The first of some pieces that a job has not handed over.
+    async fn foreign<'a>(&self, id: Uuid, pieces: Vec<&'a String>) -> Result<Option<&'a String>, LinkError> {
+        if pieces.is_empty() {
+            return Ok(None);
+        }
+        let own = self.0.store.job_pieces(id).await.map_err(|error| LinkError(error.to_string()))?;
+        Ok(pieces.into_iter().find(|piece| !own.contains(piece)))
+    }
+
+    async fn keep_piece(&self, id: Uuid, attempt: u32, piece: &[u8]) -> Result<Verdict, LinkError> {
+        let _naming = self.0.naming.read().await;
+        // named before it is there: what nobody names would never be removed
+        if let Err(error) = self.0.store.name_piece(id, attempt, &digest(piece)).await {
+            return self.fenced(Write::Piece, error);
+        }
+        self.0.artifacts.put_piece(piece).await.map_err(|error| LinkError(error.to_string()))?;
+        Ok(Verdict::Counts)
     }
 
     fn verdict(&self, write: Write, written: Result<(), StoreError>) -> Result<Verdict, LinkError> {
@@ -252,7 +285,7 @@ fn apart(results: &Value) -> (Value, Vec<Artifact>) {
             small.insert(name.clone(), value.clone());
         } else {
             let (name, media_type) = (name.clone(), "application/json".to_owned());
-            large.push(Artifact { name, media_type, bytes: text.into_bytes() });
+            large.push(Artifact { name, media_type, bytes: text.into_bytes(), pieces: Vec::new() });
         }
     }
     (Value::Object(small), large)
@@ -280,6 +313,10 @@ impl JobLink for Desk {
             let saved = self.0.store.save_checkpoint(job, attempt, bytes, clock::now()).await;
             self.verdict(Write::Checkpoint, saved)
         })
+    }
+
+    fn keep<'a>(&'a self, job: Uuid, attempt: u32, piece: &'a [u8]) -> Boxed<'a, Result<Verdict, LinkError>> {
+        Box::pin(self.keep_piece(job, attempt, piece))
     }
 
     fn release(&self, job: Uuid, attempt: u32, spent: Spent) -> Boxed<'_, Result<Verdict, LinkError>> {

@@ -158,7 +158,12 @@ fn attachment(bytes: u32) -> Vec<Artifact> {
     }
     // every byte can be told from its neighbours, so that a wrong range shows
     let bytes = (0..bytes).map(|at| (at % 251) as u8).collect();
-    vec![Artifact { name: "attachment".into(), media_type: "application/octet-stream".into(), bytes }]
+    vec![Artifact {
+        name: "attachment".into(),
+        media_type: "application/octet-stream".into(),
+        bytes,
+        pieces: Vec::new(),
+    }]
 }
 
 #[cfg(test)]

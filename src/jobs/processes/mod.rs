@@ -6,6 +6,7 @@ pub mod emission_analysis;
 pub mod emission_comparison;
 pub mod emission_synthetic;
 pub mod runout;
+pub mod select_features;
 pub mod train_model;
 
 use firn_science::progress::Progress;
@@ -28,6 +29,8 @@ pub struct Shelf<'a> {
     pub store: &'a Store,
     /// The columns of data sets.
     pub artifacts: &'a Artifacts,
+    /// What a run-out simulation may need, bytes.
+    pub runout_memory_bytes: u64,
 }
 
 /// A process that jobs execute.
@@ -37,6 +40,8 @@ pub enum Process {
     Echo,
     /// Trains and evaluates a model of a station.
     TrainModel,
+    /// Finds how many features a model of a station takes.
+    SelectFeatures,
     /// Simulates the run-out of an avalanche.
     Runout,
     /// Analyses a data set of acoustic emission.
@@ -54,6 +59,15 @@ pub struct Accepted {
     pub inputs: Value,
     /// SHA-256 (hex) of the inputs and of the content that they name.
     pub hash: String,
+}
+
+/// What a worker computes from: it has no store.
+#[derive(Debug)]
+pub struct Payload {
+    /// For [`Process::compute`].
+    pub bytes: Vec<u8>,
+    /// SHA-256 (hex) of the inputs and of the content that they name, as it is in `bytes`.
+    pub input_hash: String,
 }
 
 /// What a client needs to know of a process: OGC API - Processes Part 1, section 7.10.
@@ -75,9 +89,10 @@ pub struct Description {
 
 impl Process {
     /// Every process.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Echo,
         Self::TrainModel,
+        Self::SelectFeatures,
         Self::Runout,
         Self::EmissionAnalysis,
         Self::EmissionComparison,
@@ -90,6 +105,7 @@ impl Process {
         match self {
             Self::Echo => echo::ID,
             Self::TrainModel => train_model::ID,
+            Self::SelectFeatures => select_features::ID,
             Self::Runout => runout::ID,
             Self::EmissionAnalysis => emission_analysis::ID,
             Self::EmissionComparison => emission_comparison::ID,
@@ -109,6 +125,7 @@ impl Process {
         match self {
             Self::Echo => echo::description(),
             Self::TrainModel => train_model::description(),
+            Self::SelectFeatures => select_features::description(),
             Self::Runout => runout::description(),
             Self::EmissionAnalysis => emission_analysis::description(),
             Self::EmissionComparison => emission_comparison::description(),
@@ -131,7 +148,8 @@ impl Process {
         match self {
             Self::Echo => echo::accept(inputs),
             Self::TrainModel => train_model::accept(shelf.store, inputs).await,
-            Self::Runout => runout::accept(inputs),
+            Self::SelectFeatures => select_features::accept(shelf.store, inputs).await,
+            Self::Runout => runout::accept(inputs, shelf.runout_memory_bytes),
             Self::EmissionAnalysis => emission_analysis::accept(shelf, inputs).await,
             Self::EmissionComparison => emission_comparison::accept(shelf, inputs).await,
             Self::EmissionSynthetic => emission_synthetic::accept(inputs),
@@ -142,8 +160,8 @@ impl Process {
     ///
     /// # Errors
     /// A [`Problem`] where the job can no longer be computed.
-    pub async fn payload(self, shelf: Shelf<'_>, job: &Job) -> Result<Vec<u8>, Problem> {
-        match self {
+    pub async fn payload(self, shelf: Shelf<'_>, job: &Job) -> Result<Payload, Problem> {
+        let bytes = match self {
             Self::Echo => {
                 let is_parent = job.inputs["parts"].as_u64() > Some(0);
                 let children = if is_parent {
@@ -153,12 +171,14 @@ impl Process {
                 };
                 echo::payload(&job.inputs, children)
             }
-            Self::TrainModel => train_model::payload(shelf.store, job).await,
-            Self::Runout => runout::payload(job),
+            Self::TrainModel => return train_model::payload(shelf.store, job).await,
+            Self::SelectFeatures => return select_features::payload(shelf.store, job).await,
+            Self::Runout => runout::payload(job, shelf.runout_memory_bytes),
             Self::EmissionAnalysis => emission_analysis::payload(shelf, job).await,
             Self::EmissionComparison => emission_comparison::payload(shelf, job).await,
             Self::EmissionSynthetic => emission_synthetic::payload(job),
-        }
+        }?;
+        Ok(Payload { bytes, input_hash: job.input_hash.clone() })
     }
 
     /// Computes a job from its payload: a pure function that reports to `progress`.
@@ -169,6 +189,7 @@ impl Process {
         match self {
             Self::Echo => echo::compute(payload, progress),
             Self::TrainModel => train_model::compute(payload, progress),
+            Self::SelectFeatures => select_features::compute(payload, progress),
             Self::Runout => runout::compute(payload, progress),
             Self::EmissionAnalysis => emission_analysis::compute(payload, progress),
             Self::EmissionComparison => emission_comparison::compute(payload, progress),
@@ -183,6 +204,9 @@ impl Process {
     pub fn kept(self, job: &Job, keep: &Value, now: Timestamp) -> Result<Kept, serde_json::Error> {
         match self {
             Self::EmissionSynthetic => emission_synthetic::kept(job, keep, now).map(Kept::Dataset),
+            Self::SelectFeatures => {
+                select_features::kept(job.id, keep).map(|selection| Kept::Selection(Box::new(selection)))
+            }
             _ => train_model::kept(job.id, keep, now).map(|model| Kept::Model(Box::new(model))),
         }
     }

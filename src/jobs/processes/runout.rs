@@ -31,7 +31,10 @@ use crate::{
         schema,
     },
     formats::film,
-    jobs::link::{Artifact, Output},
+    jobs::{
+        artifacts::digest,
+        link::{Artifact, Output},
+    },
 };
 
 /// Its id in every address.
@@ -40,11 +43,13 @@ pub const ID: &str = "runout";
 /// The name of the output that holds the frames.
 pub const FRAMES: &str = "frames";
 
-/// The most memory that the particles and the grid of a run may take, bytes.
-pub const MEMORY_LIMIT_BYTES: u64 = 2 << 30;
+/// The setting of the most memory that the particles and the grid of a run may take.
+const MEMORY_SETTING: &str = "runout_memory_mib";
 
-/// The most bytes that all frames of a run may take, about; they are also part of every saved state.
-const FILM_BYTES: f64 = 32e6;
+/// The most bytes that all frames of a run may take, about.
+const FILM_BYTES: f64 = 512e6;
+/// Bytes of a piece of the film, at least: pieces are handed over while the run goes on.
+const PIECE_BYTES: usize = 4 << 20;
 /// Bytes of a packed frame a particle, about.
 const FRAME_BYTES_A_PARTICLE: f64 = 3.5;
 /// Physical time that a run takes at most, in units of the time scale of its fall, sqrt(H0 / g), about.
@@ -65,14 +70,15 @@ struct Payload {
     inputs: RunoutInputs,
     input_hash: String,
     version: String,
+    memory_limit_bytes: u64,
 }
 
-/// What is saved of a run: its own state, and the frames that it has given.
+/// What is saved of a run: its own state, and what it has given of the film.
 #[derive(Serialize, Deserialize)]
 struct Saved {
     #[serde(with = "serde_bytes")]
     run: Vec<u8>,
-    frames: Vec<(f64, ByteBuf)>,
+    film: Film,
 }
 
 /// What a client needs to know of the process.
@@ -88,7 +94,7 @@ pub fn description() -> Description {
         outputs: json!({
             "summary": {"title": "The run in a few numbers", "schema": {"type": "object"}},
             "series": {"title": "Front, centre of mass, speeds, energies and shape at 24 frames a second", "schema": {"type": "object"}},
-            "profiles": {"title": "Flow depth and velocity along the track and over the depth", "schema": {"type": "object"}},
+            "profiles": {"title": "Flow depth and velocity along the track and over the depth, granules and surges, every half second", "schema": {"type": "object"}},
             "frames": {"title": "Every particle at some frames a second; see /v1/jobs/{jobID}/frames", "schema": {"type": "object"}},
             "inputs": {"title": "The inputs with everything filled in", "schema": {"type": "object"}},
             "limits": {"title": "What the model leaves out", "schema": {"type": "array"}},
@@ -101,9 +107,9 @@ pub fn description() -> Description {
 }
 
 /// Checks the inputs against their schema, the model, the terrain and the memory.
-pub(super) fn accept(inputs: &Value) -> Result<Accepted, Problem> {
+pub(super) fn accept(inputs: &Value, memory_limit_bytes: u64) -> Result<Accepted, Problem> {
     let read: RunoutInputs = schema::read(inputs, "/inputs").map_err(invalid_inputs)?;
-    let plan = Plan::new(&read, MEMORY_LIMIT_BYTES)
+    let plan = Plan::new(&read, memory_limit_bytes)
         .map_err(|faults| invalid_inputs(faults.iter().map(field_error).collect()))?;
     let inputs = serde_json::to_value(&plan.inputs).map_err(Problem::internal)?;
     let digest = Sha256::digest(inputs.to_string().as_bytes());
@@ -119,36 +125,49 @@ fn field_error(error: &InputError) -> FieldError {
         InputError::Release(_) => "release",
         InputError::TooLarge { .. } => "too_large",
     };
-    FieldError::new(format!("/inputs{}", error.pointer()), code, error.to_string())
+    let detail = match error {
+        InputError::TooLarge { .. } => format!("{error} (the setting {MEMORY_SETTING} of the server)"),
+        _ => error.to_string(),
+    };
+    FieldError::new(format!("/inputs{}", error.pointer()), code, detail)
 }
 
 /// What a worker needs: nothing that the job does not already say.
-pub(super) fn payload(job: &Job) -> Result<Vec<u8>, Problem> {
+pub(super) fn payload(job: &Job, memory_limit_bytes: u64) -> Result<Vec<u8>, Problem> {
     let inputs = serde_json::from_value(job.inputs.clone()).map_err(Problem::internal)?;
-    let payload = Payload { inputs, input_hash: job.input_hash.clone(), version: job.version.clone() };
+    let (input_hash, version) = (job.input_hash.clone(), job.version.clone());
+    let payload = Payload { inputs, input_hash, version, memory_limit_bytes };
     serde_json::to_vec(&payload).map_err(Problem::internal)
 }
 
 /// Simulates.
 pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output, Failure> {
+    compute_with(payload, progress, PIECE_BYTES)
+}
+
+fn compute_with(payload: &[u8], progress: &dyn Progress, piece_bytes: usize) -> Result<Output, Failure> {
     let payload: Payload = serde_json::from_slice(payload).map_err(science)?;
-    let plan = Plan::new(&payload.inputs, MEMORY_LIMIT_BYTES).map_err(|faults| {
+    let plan = Plan::new(&payload.inputs, payload.memory_limit_bytes).map_err(|faults| {
         let faults: Vec<String> = faults.iter().map(|fault| format!("{} {fault}", fault.pointer())).collect();
         Failure::Science(faults.join("; "))
     })?;
-    let camera = Camera::new(&plan, progress);
+    let camera = Camera::new(&plan, progress, piece_bytes);
     let begun = Instant::now();
     let mut outcome = run::run(&plan, &camera, &mut |number, frame| camera.take(number, frame)).map_err(failure)?;
     let seconds = begun.elapsed().as_secs_f64();
     outcome.summary.particle_steps_per_s = (seconds > 0.0).then(|| camera.work_done() / seconds);
-    let film = camera.into_film();
+    let film = camera.into_film()?;
     let artifacts = vec![
         json_artifact("series", &outcome.observations.series)?,
         json_artifact(
             "profiles",
-            &json!({"depth": outcome.observations.depth_profiles, "velocity": outcome.observations.velocity_profiles}),
+            &json!({
+                "depth": outcome.observations.depth_profiles,
+                "velocity": outcome.observations.velocity_profiles,
+                "pieces": outcome.observations.pieces,
+            }),
         )?,
-        Artifact { name: FRAMES.into(), media_type: "application/octet-stream".into(), bytes: film::write(&film) },
+        film,
     ];
     let results = json!({
         "summary": outcome.summary,
@@ -161,7 +180,7 @@ pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output,
 
 fn json_artifact(name: &str, value: &impl Serialize) -> Result<Artifact, Failure> {
     let bytes = serde_json::to_vec(value).map_err(science)?;
-    Ok(Artifact { name: name.into(), media_type: "application/json".into(), bytes })
+    Ok(Artifact { name: name.into(), media_type: "application/json".into(), bytes, pieces: Vec::new() })
 }
 
 fn science(error: impl std::fmt::Display) -> Failure {
@@ -185,30 +204,54 @@ struct Camera<'a> {
     /// One frame of so many is kept, and the last.
     every: usize,
     film: Mutex<Film>,
+    piece_bytes: usize,
     /// The state of the run that an earlier attempt saved.
     resumed: Option<Vec<u8>>,
     /// Work of this attempt: the bits of an `f64`.
     work: AtomicU64,
 }
 
-/// Frames with their times, s.
-#[derive(Default)]
+/// The film of a run so far. Its frames go away in pieces, so that neither the memory nor a saved state holds them.
+#[derive(Clone, Default, Serialize, Deserialize)]
 struct Film {
-    kept: Vec<(f64, ByteBuf)>,
-    /// The newest frame, where it is not kept.
+    /// Time since release, s, and length of every frame.
+    table: Vec<(f64, u64)>,
+    /// Digests of the pieces that were handed over.
+    pieces: Vec<String>,
+    /// The frames since then, one after the other.
+    #[serde(with = "serde_bytes")]
+    rest: Vec<u8>,
+    /// The newest frame, where it is not one of those that are kept.
     newest: Option<(f64, ByteBuf)>,
 }
 
+impl Film {
+    fn push(&mut self, time_s: f64, frame: &[u8]) {
+        self.table.push((time_s, frame.len() as u64));
+        self.rest.extend_from_slice(frame);
+    }
+
+    /// Hands the frames since the last piece over; false where nobody takes them.
+    fn hand_over(&mut self, progress: &dyn Progress) -> bool {
+        let name = digest(&self.rest);
+        match progress.keep(std::mem::take(&mut self.rest)) {
+            Ok(()) => self.pieces.push(name),
+            Err(piece) => self.rest = piece,
+        }
+        self.rest.is_empty()
+    }
+}
+
 impl<'a> Camera<'a> {
-    fn new(plan: &Plan, progress: &'a dyn Progress) -> Self {
+    fn new(plan: &Plan, progress: &'a dyn Progress, piece_bytes: usize) -> Self {
         // what an earlier version saved is of no use, but no reason to fail either
         let saved = progress.resumed().and_then(|bytes| rmp_serde::from_slice::<Saved>(bytes).ok());
-        let (resumed, kept) = saved.map_or((None, Vec::new()), |saved| (Some(saved.run), saved.frames));
-        let film = Mutex::new(Film { kept, newest: None });
+        let (resumed, film) = saved.map_or((None, Film::default()), |saved| (Some(saved.run), saved.film));
         Self {
             progress,
             every: FRAMES_PER_S as usize / frames_per_s(plan) as usize,
-            film,
+            film: Mutex::new(film),
+            piece_bytes,
             resumed,
             work: AtomicU64::new(0),
         }
@@ -219,15 +262,21 @@ impl<'a> Camera<'a> {
     }
 
     fn take(&self, number: usize, frame: Vec<u8>) {
-        let frame = (number as f64 / FRAMES_PER_S, ByteBuf::from(frame));
+        let time_s = number as f64 / FRAMES_PER_S;
         let mut film = self.film();
-        // a run that began anew although there was a saved state gives its first frames again
-        film.kept.truncate(number.div_ceil(self.every));
-        if number.is_multiple_of(self.every) {
-            film.kept.push(frame);
-            film.newest = None;
-        } else {
-            film.newest = Some(frame);
+        if number == 0 {
+            // a run that began anew although there was a saved state
+            *film = Film::default();
+        }
+        if !number.is_multiple_of(self.every) {
+            film.newest = Some((time_s, ByteBuf::from(frame)));
+            return;
+        }
+        film.newest = None;
+        film.push(time_s, &frame);
+        if film.rest.len() >= self.piece_bytes {
+            // where nobody takes it, the film is held here
+            film.hand_over(self.progress);
         }
     }
 
@@ -236,9 +285,19 @@ impl<'a> Camera<'a> {
         f64::from_bits(self.work.load(Ordering::Relaxed))
     }
 
-    fn into_film(self) -> Vec<(f64, Vec<u8>)> {
-        let film = self.film.into_inner().unwrap_or_else(PoisonError::into_inner);
-        film.kept.into_iter().chain(film.newest).map(|(time_s, frame)| (time_s, frame.into_vec())).collect()
+    fn into_film(self) -> Result<Artifact, Failure> {
+        let mut film = self.film.into_inner().unwrap_or_else(PoisonError::into_inner);
+        if let Some((time_s, frame)) = film.newest.take() {
+            film.push(time_s, &frame);
+        }
+        let mut bytes = film::head(&film.table);
+        if film.pieces.is_empty() {
+            bytes.append(&mut film.rest);
+        } else if !film.rest.is_empty() && !film.hand_over(self.progress) {
+            return Err(science("the last frames were not taken"));
+        }
+        let (name, media_type) = (FRAMES.into(), "application/octet-stream".into());
+        Ok(Artifact { name, media_type, bytes, pieces: film.pieces })
     }
 }
 
@@ -262,10 +321,14 @@ impl Progress for Camera<'_> {
 
     fn checkpoint(&self, state: &dyn Fn() -> Vec<u8>) {
         self.progress.checkpoint(&|| {
-            let saved = Saved { run: state(), frames: self.film().kept.clone() };
+            let saved = Saved { run: state(), film: self.film().clone() };
             // bytes and numbers always have this form; without it the next attempt begins at the beginning
             rmp_serde::to_vec(&saved).unwrap_or_default()
         });
+    }
+
+    fn keep(&self, piece: Vec<u8>) -> Result<(), Vec<u8>> {
+        self.progress.keep(piece)
     }
 
     fn resumed(&self) -> Option<&[u8]> {
@@ -282,6 +345,8 @@ fn frames_per_s(plan: &Plan) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::HashMap;
+
     use firn_science::runout::frames;
 
     use super::*;
@@ -290,14 +355,26 @@ mod tests {
         json!({"scenario": "warm-plug", "mesh_m": 0.25, "end_time_s": 1.0})
     }
 
-    fn run(inputs: &Value, progress: &dyn Progress) -> Result<Output, Failure> {
-        let inputs = serde_json::from_value(accept(inputs).unwrap().inputs).unwrap();
-        let payload = Payload { inputs, input_hash: String::new(), version: String::new() };
-        compute(&serde_json::to_vec(&payload).unwrap(), progress)
+    const MEMORY: u64 = 2 << 30;
+
+    /// Runs with pieces of this size.
+    fn run(inputs: &Value, progress: &dyn Progress, piece_bytes: usize) -> Result<Output, Failure> {
+        let inputs = serde_json::from_value(accept(inputs, MEMORY).unwrap().inputs).unwrap();
+        let (input_hash, version) = (String::new(), String::new());
+        let payload = Payload { inputs, input_hash, version, memory_limit_bytes: MEMORY };
+        compute_with(&serde_json::to_vec(&payload).unwrap(), progress, piece_bytes)
     }
 
-    fn film_of(output: &Output) -> Vec<(f64, Vec<u8>)> {
-        let film = &output.artifacts.iter().find(|artifact| artifact.name == FRAMES).unwrap().bytes;
+    /// Pieces by their digest.
+    type Pieces = HashMap<String, Vec<u8>>;
+
+    /// The film as it is stored.
+    fn film_of(output: &Output, pieces: &Pieces) -> Vec<u8> {
+        let film = output.artifacts.iter().find(|artifact| artifact.name == FRAMES).unwrap();
+        film.pieces.iter().fold(film.bytes.clone(), |film, piece| [film, pieces[piece].clone()].concat())
+    }
+
+    fn frames_of(film: &[u8]) -> Vec<(f64, Vec<u8>)> {
         let table = film::table_bytes(&film[..film::HEADER_BYTES as usize]).unwrap();
         let entries = film::read_table(&film[table.start as usize..table.end as usize]).unwrap();
         let frame =
@@ -307,8 +384,8 @@ mod tests {
 
     #[test]
     fn a_run_has_its_frames_at_their_times() {
-        let output = run(&quick(), &firn_science::progress::Unobserved).unwrap();
-        let film = film_of(&output);
+        let output = run(&quick(), &firn_science::progress::Unobserved, PIECE_BYTES).unwrap();
+        let film = frames_of(&film_of(&output, &Pieces::new()));
         assert_eq!(film.len(), 25);
         for (number, (time_s, frame)) in film.iter().enumerate() {
             assert!((time_s - number as f64 / 24.0).abs() < 1e-12);
@@ -320,11 +397,19 @@ mod tests {
         assert_eq!(output.results["inputs"]["time_step_s"], json!(0.0011));
     }
 
-    /// Saves at every offer and ends after some of them.
+    /// Saves at every offer, stores pieces, and ends after some offers.
     struct Killer {
         resumed: Option<Vec<u8>>,
         offers_left: Mutex<usize>,
         saved: Mutex<Vec<u8>>,
+        pieces: Mutex<Pieces>,
+    }
+
+    impl Killer {
+        fn after(offers: usize, resumed: Option<Vec<u8>>, pieces: Pieces) -> Self {
+            let (offers_left, pieces) = (Mutex::new(offers), Mutex::new(pieces));
+            Self { resumed, offers_left, saved: Mutex::default(), pieces }
+        }
     }
 
     impl Progress for Killer {
@@ -342,6 +427,11 @@ mod tests {
             }
         }
 
+        fn keep(&self, piece: Vec<u8>) -> Result<(), Vec<u8>> {
+            self.pieces.lock().unwrap().insert(digest(&piece), piece);
+            Ok(())
+        }
+
         fn resumed(&self) -> Option<&[u8]> {
             self.resumed.as_deref()
         }
@@ -349,19 +439,28 @@ mod tests {
 
     #[test]
     fn a_run_that_was_interrupted_has_the_bits_and_frames_of_one_that_was_not() {
-        let whole = run(&quick(), &firn_science::progress::Unobserved).unwrap();
-        let mut resumed = None;
+        const PIECE: usize = 20_000;
+        let whole = run(&quick(), &firn_science::progress::Unobserved, PIECE).unwrap();
+        let film = film_of(&whole, &Pieces::new());
+        let (mut resumed, mut pieces) = (None, Pieces::new());
         let parts = loop {
-            let killer = Killer { resumed: resumed.take(), offers_left: Mutex::new(9), saved: Mutex::default() };
-            match run(&quick(), &killer) {
+            let killer = Killer::after(9, resumed.take(), std::mem::take(&mut pieces));
+            let ended = run(&quick(), &killer, PIECE);
+            pieces = killer.pieces.into_inner().unwrap();
+            match ended {
                 Ok(output) => break output,
-                Err(Failure::Cancelled) => resumed = Some(killer.saved.into_inner().unwrap()),
+                Err(Failure::Cancelled) => {
+                    let saved = killer.saved.into_inner().unwrap();
+                    let film = rmp_serde::from_slice::<Saved>(&saved).unwrap().film;
+                    assert!(film.rest.len() < PIECE && film.pieces.iter().all(|piece| pieces.contains_key(piece)));
+                    resumed = Some(saved);
+                }
                 Err(error) => panic!("{error}"),
             }
         };
-        assert_eq!(film_of(&parts), film_of(&whole));
-        let bytes =
-            |output: &Output| output.artifacts.iter().map(|artifact| artifact.bytes.clone()).collect::<Vec<_>>();
+        assert!(pieces.len() > 3, "{} bytes in {} pieces", film.len(), pieces.len());
+        assert!(film_of(&parts, &pieces) == film, "the films differ");
+        let bytes = |output: &Output| output.artifacts[..2].iter().map(|file| file.bytes.clone()).collect::<Vec<_>>();
         assert_eq!(bytes(&parts), bytes(&whole));
         let timeless = |mut output: Output| {
             output.results["summary"]["particle_steps_per_s"] = Value::Null;
@@ -372,10 +471,11 @@ mod tests {
 
     #[test]
     fn a_large_run_keeps_fewer_frames() {
-        let plan = |inputs: Value| Plan::new(&serde_json::from_value(inputs).unwrap(), MEMORY_LIMIT_BYTES).unwrap();
+        let plan = |inputs: Value| Plan::new(&serde_json::from_value(inputs).unwrap(), MEMORY).unwrap();
         let snow = json!({"M": 0.5, "beta": 0, "xi": 1, "p0_kpa": 3});
         assert_eq!(frames_per_s(&plan(json!({"scenario": "group-2", "quality": "quick", "snow": snow}))), 24);
-        assert_eq!(frames_per_s(&plan(json!({"scenario": "group-5", "snow": snow}))), 1);
+        assert_eq!(frames_per_s(&plan(json!({"scenario": "group-2", "snow": snow}))), 24);
+        assert_eq!(frames_per_s(&plan(json!({"scenario": "group-5", "snow": snow}))), 4);
     }
 
     #[test]
@@ -390,12 +490,18 @@ mod tests {
             (json!({"scenario": "group-9", "snow": snow(1.0, 0.0)}), "/inputs/scenario"),
         ];
         for (inputs, pointer) in cases {
-            let problem = accept(&inputs).unwrap_err();
+            let problem = accept(&inputs, MEMORY).unwrap_err();
             assert_eq!(problem.errors[0].pointer, pointer, "{inputs} {problem}");
         }
-        let limit = accept(&json!({"scenario": "group-2", "snow": snow(1.0, 0.0), "time_step_s": 1e-3})).unwrap_err();
+        let limit =
+            accept(&json!({"scenario": "group-2", "snow": snow(1.0, 0.0), "time_step_s": 1e-3}), MEMORY).unwrap_err();
         assert!(limit.errors[0].detail.contains("at most"), "{limit}");
-        let large = accept(&json!({"scenario": "group-2", "snow": snow(1.0, 0.0), "mesh_m": 0.001})).unwrap_err();
+        let large =
+            accept(&json!({"scenario": "group-2", "snow": snow(1.0, 0.0), "mesh_m": 0.001}), MEMORY).unwrap_err();
         assert!(large.errors[0].detail.contains("particles") && large.errors[0].detail.contains("bytes"), "{large}");
+        assert!(large.errors[0].detail.contains(MEMORY_SETTING), "{large}");
+        // the mesh that two gibibytes allow is refused where the server allows one
+        let fine = json!({"scenario": "group-2", "snow": snow(1.0, 0.0), "mesh_m": 0.003});
+        assert!(accept(&fine, MEMORY).is_ok() && accept(&fine, MEMORY / 2).is_err());
     }
 }

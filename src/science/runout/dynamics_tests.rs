@@ -9,15 +9,11 @@ use super::{
     lanes::Real,
     material::{FlowRule, Material, ShearNorm, Snow},
     observe::{energies, snapshot},
+    test_scenes::strong,
 };
 
 const MESH: f64 = 0.05;
 const STEP: f64 = 2.3e-4;
-
-/// Snow that stays elastic.
-fn strong() -> Snow {
-    Snow::li_2020(1.5, 1.0, 1.0, 1e6)
-}
 
 /// Nothing around: no gravity, and a bed far below.
 fn void<T: Real>(snow: &Snow, gravity: f64) -> Frame<T> {
@@ -36,6 +32,7 @@ fn void<T: Real>(snow: &Snow, gravity: f64) -> Frame<T> {
         friction: 0.5,
         sticky: false,
         limited_above: f64::INFINITY,
+        top_m: 1000.0,
     }
 }
 

@@ -37,8 +37,17 @@ pub(super) struct Frame<T> {
     pub(super) gravity_m_s2: f64,
     pub(super) friction: f64,
     pub(super) sticky: bool,
-    /// Volumetric plastic strain above which the affine motion is limited.
+    /// Volumetric plastic strain above which the affine motion of what outruns free fall is limited.
     pub(super) limited_above: f64,
+    /// Height of the highest snow at release, m.
+    pub(super) top_m: f64,
+}
+
+impl<T> Frame<T> {
+    /// Twice the acceleration of gravity, cells a step a step.
+    fn fall(&self) -> f64 {
+        2.0 * self.gravity_m_s2 * self.time_step_s * self.time_step_s / self.mesh_m
+    }
 }
 
 /// A particle as it is released.
@@ -231,6 +240,8 @@ impl<T: Real> Engine<T> {
             offset: &self.layout.offset,
             material: &self.frame.material,
             limited_above: T::of(self.frame.limited_above),
+            fall: T::of(self.frame.fall()),
+            top: T::of(self.frame.top_m / self.frame.mesh_m),
         }
     }
 
@@ -241,6 +252,8 @@ impl<T: Real> Engine<T> {
             offset: &self.layout.offset,
             material: &self.frame.material,
             limited_above: T::of(self.frame.limited_above),
+            fall: T::of(self.frame.fall()),
+            top: T::of(self.frame.top_m / self.frame.mesh_m),
         };
         self.chunks.par_iter_mut().zip(&mut self.grids).for_each(|(chunk, grid)| {
             let kept = if keep { chunk.blocks.len() } else { 0 };

@@ -3,10 +3,10 @@
 //! A layout holds from one sorting of the particles to the next, in which no particle moves by more than [`DRIFT`] cells.
 //! Chunks are runs of columns; a chunk's particles give to a grid of its own, and the grids are added in a fixed order.
 
-use multiversion::multiversion;
 use serde::{Deserialize, Serialize};
 
 use super::{
+    dispatch::dispatched,
     lanes::Real,
     particles::{BLOCK, Particle},
     transfer::ChunkGrid,
@@ -345,17 +345,5 @@ fn meet<T: Real>(v: [T; 2], bed: &BedColumn<T>, friction: T, sticky: bool) -> [T
     [along * bed.nz, -(along * bed.nx)]
 }
 
-macro_rules! dispatched {
-    ($t:ty, $reduce:ident) => {
-        /// [`reduce_nodes`] at the widest instructions of this machine.
-        #[multiversion(targets(
-            "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2",
-            "x86_64+avx2+bmi1+bmi2"
-        ))]
-        pub(super) fn $reduce(input: &Reduction<'_, $t>, velocity: &mut [[$t; 4]]) -> Reduced {
-            reduce_nodes(input, velocity)
-        }
-    };
-}
-dispatched!(f32, reduce_f32);
-dispatched!(f64, reduce_f64);
+dispatched!(reduce_f32 => reduce_nodes(input: &Reduction<'_, f32>, velocity: &mut [[f32; 4]]) -> Reduced);
+dispatched!(reduce_f64 => reduce_nodes(input: &Reduction<'_, f64>, velocity: &mut [[f64; 4]]) -> Reduced);

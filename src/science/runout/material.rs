@@ -18,6 +18,8 @@ pub enum FlowRule {
     /// To the closest point in the energy norm, at the hardening of the step's start.
     #[default]
     Associative,
+    /// The same, at the hardening of the step's end; for a cohesion of at most 1.
+    AssociativeImplicit,
     /// The three cases of Wolper et al. (2019, ACM Trans. Graph. 38, 119): to the ends of the surface where the pressure is
     /// beyond them, else at the same pressure, with the hardening that they give.
     Nacc,
@@ -174,7 +176,7 @@ pub(super) struct Material<T> {
     /// `A / B` of the secular equation of the return, and its inverse.
     pub(super) ratio: T,
     pub(super) ratio_inverse: T,
-    pub(super) nacc: bool,
+    pub(super) rule: FlowRule,
 }
 
 /// The plastic return of one stress.
@@ -207,7 +209,7 @@ impl<T: Real> Material<T> {
             shear_of_strain: T::of(c * 2.0 * std::f64::consts::SQRT_2 * mu * scale * widening.sqrt() / m),
             ratio: T::of(ratio),
             ratio_inverse: T::of(1.0 / ratio),
-            nacc: rule == FlowRule::Nacc,
+            rule,
         }
     }
 

@@ -8,10 +8,12 @@
 //! [`snapshot::Snapshot`]. [`run::run`] does all of it for a [`plan::Plan`] and observes it.
 
 mod checkpoint;
+mod dispatch;
 mod engine;
 mod error;
 pub mod frames;
 mod grid;
+mod implicit;
 mod lanes;
 pub mod material;
 pub mod observables;
@@ -32,6 +34,12 @@ pub use error::{Dump, ParticleState, RunoutError};
 pub use simulation::{Advance, Contact, GRAVITY_M_S2, LIMITED_ABOVE, Precision, Setup, Simulation};
 
 #[cfg(test)]
+mod block_tests;
+#[cfg(test)]
+mod collapse_tests;
+#[cfg(test)]
+mod dispatch_tests;
+#[cfg(test)]
 mod dynamics_tests;
 #[cfg(test)]
 mod flow_tests;
@@ -43,3 +51,5 @@ mod plan_tests;
 mod run_tests;
 #[cfg(test)]
 mod terrain_tests;
+#[cfg(test)]
+mod test_scenes;

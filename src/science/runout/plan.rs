@@ -161,6 +161,7 @@ impl Plan {
             terrain: self.setup.terrain.clone(),
             slab: self.setup.release,
             mass_kg_m,
+            mesh_m: self.setup.mesh_m,
             drop_height_m: self.drop_height_m,
             mid_slope_m: self.mid_slope_m,
             indicators: self.indicators,

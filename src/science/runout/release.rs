@@ -86,6 +86,16 @@ impl Slab {
         [crown.x_m, crown.z_m]
     }
 
+    /// Height of its highest point, m.
+    #[must_use]
+    pub fn top_m(&self, terrain: &Terrain) -> f64 {
+        const LOOKS: u32 = 64;
+        let (middle, half) = (self.middle_s(terrain), 0.5 * self.length_m);
+        let place = |look: u32| middle - half + self.length_m * f64::from(look) / f64::from(LOOKS);
+        let heights = (0..=LOOKS).map(|look| above(&terrain.at_arc_length(place(look)), self.thickness_m)[1]);
+        heights.fold(f64::NEG_INFINITY, f64::max)
+    }
+
     /// Its centre at mid length and mid thickness, `[x, z]` in m.
     #[must_use]
     pub fn centre_m(&self, terrain: &Terrain) -> [f64; 2] {

@@ -295,9 +295,10 @@ pub struct RunoutInputs {
     #[serde(default)]
     #[cfg_attr(feature = "schema", schema(inline))]
     pub bed: BedInputs,
-    /// Plastic flow rule: `associative`, or `nacc`.
+    /// Plastic flow rule: `associative` with the hardening of a step's start, `associative_implicit` with that of its end (for
+    /// beta up to 1, and several times as slow), or `nacc`.
     #[serde(default)]
-    #[cfg_attr(feature = "schema", schema(value_type = String, pattern = "^(associative|nacc)$", default = "associative"))]
+    #[cfg_attr(feature = "schema", schema(value_type = String, pattern = "^(associative|associative_implicit|nacc)$", default = "associative"))]
     pub flow_rule: FlowRule,
     /// Numbers to compute in: `f32`, or `f64`.
     #[serde(default)]

@@ -21,8 +21,11 @@ use crate::progress::Progress;
 /// Acceleration of gravity, m/s2.
 pub const GRAVITY_M_S2: f64 = 9.81;
 
-/// The usual value of [`Setup::limited_above`]: so far dilated, a particle is a lone grain.
+/// The usual value of [`Setup::limited_above`]: so far dilated, snow has come apart.
 pub const LIMITED_ABOVE: f64 = 0.5;
+
+/// Cells above the bed at which a node still counts as lying on it.
+const ON_BED: f64 = 1e-6;
 
 /// Particle-steps between two looks at whether the run is still wanted: some 0.1 s on the slowest machines.
 const BETWEEN_LOOKS: u64 = 500_000;
@@ -72,8 +75,9 @@ pub struct Setup {
     pub mesh_m: f64,
     /// Time step, s: at most [`Setup::time_step_limit_s`].
     pub time_step_s: f64,
-    /// Volumetric plastic strain above which the affine motion of a particle is limited, usually [`LIMITED_ABOVE`]; infinity
-    /// gives plain APIC, in which lone grains may outrun free fall.
+    /// Volumetric plastic strain above which the affine motion of a particle is limited where it outruns a frictionless fall
+    /// from the highest snow at release, usually [`LIMITED_ABOVE`]; infinity gives plain APIC, in which lone grains may come to
+    /// twice that speed.
     pub limited_above: f64,
     /// Numbers in which the run is computed.
     pub precision: Precision,
@@ -119,6 +123,10 @@ impl Setup {
     /// A parameter outside of the model, a time step over its limit, a mesh over the memory limit, a slab off the terrain.
     pub fn validate(&self) -> Result<(), RunoutError> {
         self.snow.validate()?;
+        if self.flow_rule == FlowRule::AssociativeImplicit {
+            let cohesion = self.snow.cohesion;
+            check("cohesion", cohesion, cohesion <= 1.0, "from 0 to 1 with implicit hardening")?;
+        }
         check("bed_friction", self.bed_friction, (0.0..=10.0).contains(&self.bed_friction), "from 0 to 10")?;
         check("mesh_m", self.mesh_m, (1e-3..=10.0).contains(&self.mesh_m), "from 0.001 to 10")?;
         if self.limited_above.is_nan() || self.limited_above < 0.0 {
@@ -151,7 +159,8 @@ impl Setup {
             let x = from + column as f64 * mesh_m;
             let z = self.terrain.height_m(x);
             let [nx, nz] = self.terrain.normal(x, z);
-            BedColumn { row: (z / mesh_m).floor() as i32, nx: T::of(nx), nz: T::of(nz) }
+            // a node on the bed is in it, also where its height was rounded: else a plane bed has holes
+            BedColumn { row: (z / mesh_m + ON_BED).floor() as i32, nx: T::of(nx), nz: T::of(nz) }
         };
         let scale = 4.0 * time_step_s * time_step_s / (self.snow.density_kg_m3 * mesh_m * mesh_m);
         Frame {
@@ -168,6 +177,7 @@ impl Setup {
             friction: self.bed_friction,
             sticky: self.contact == Contact::Sticky,
             limited_above: self.limited_above,
+            top_m: self.release.top_m(&self.terrain),
         }
     }
 }

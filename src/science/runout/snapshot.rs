@@ -1,5 +1,7 @@
 //! What a simulation shows of itself at one instant: the seam between the dynamics and everything that observes them.
 
+use serde::{Deserialize, Serialize};
+
 /// All particles at one instant, in the order of their release; every vector has one entry a particle.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Snapshot {
@@ -20,7 +22,8 @@ pub struct Snapshot {
 }
 
 /// Energies since release, J a metre of width. The first four are states, the others what was dissipated so far (>= 0).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Energies {
     /// Kinetic energy of the particles' velocities.
     pub kinetic: f64,
@@ -36,4 +39,12 @@ pub struct Energies {
     pub plastic: f64,
     /// Dissipated by the transfer between particles and grid, the limiter of affine motion included.
     pub transfer: f64,
+}
+
+impl Energies {
+    /// All of them, J a metre of width: constant where every term is accounted for.
+    #[must_use]
+    pub fn total(&self) -> f64 {
+        self.kinetic + self.affine + self.potential + self.elastic + self.bed + self.plastic + self.transfer
+    }
 }

@@ -4,11 +4,10 @@
 //! A node is four numbers. Of velocity: (x, z), twice, so that sums and moments are made in one register. Of what is given:
 //! momentum along x and z, mass, and nothing.
 
-use multiversion::multiversion;
-
 use super::{
+    dispatch::dispatched,
     lanes::{Real, ln_1p_pair, max, min},
-    material::Material,
+    material::{FlowRule, Material},
     particles::{BLOCK, Block, Place},
     vector::Vector,
 };
@@ -76,8 +75,12 @@ pub(super) struct Step<'a, T> {
     /// For every column the number of its node at row 0, were there one.
     pub(super) offset: &'a [i32],
     pub(super) material: &'a Material<T>,
-    /// Volumetric plastic strain above which the affine motion is limited.
+    /// Volumetric plastic strain above which the affine motion of what outruns free fall is limited.
     pub(super) limited_above: T,
+    /// Twice the acceleration of gravity, cells a step a step, and the row that all snow fell from: `fall (top - z)` is the
+    /// square of the speed of free fall.
+    pub(super) fall: T,
+    pub(super) top: T,
 }
 
 /// What an audit reads: the same.
@@ -320,11 +323,15 @@ fn plastic_return<T: Real>(
     let mut volume = [zero; GROUP];
     let mut shear = [zero; GROUP];
     let mut plastic = volumetric;
-    if any_strong != 0 {
-        let returned = if material.nacc {
-            material.nacc(&volumetric, &deviatoric, &strength)
-        } else {
-            material.closest(&volumetric, &deviatoric, &strength)
+    let implicit = material.rule == FlowRule::AssociativeImplicit;
+    // compaction gives strength even to what has none, but only within the step where hardening is implicit
+    if any_strong != 0 || implicit {
+        let returned = match material.rule {
+            FlowRule::Associative => material.closest(&volumetric, &deviatoric, &strength),
+            FlowRule::AssociativeImplicit => {
+                material.implicit(&volumetric, &deviatoric, &window(&block.plastic_strain), &strength)
+            }
+            FlowRule::Nacc => material.nacc(&volumetric, &deviatoric, &strength),
         };
         for k in 0..GROUP {
             (volume[k], shear[k], plastic[k]) = (returned[k].volumetric, returned[k].shear, returned[k].plastic);
@@ -474,23 +481,27 @@ fn audit<T: Real>(step: &Audit<'_, T>, blocks: &[Block<T>], grid: &mut ChunkGrid
     }
 }
 
-/// Limits the affine motion of strongly dilated particles, so that no node is given a velocity outside of those of the
-/// particle's nodes (after Barth & Jespersen 1989, AIAA paper 89-0366).
+/// Limits the affine motion of dilated particles that outrun free fall, so that no node is given a velocity outside of those
+/// of the particle's nodes (after Barth & Jespersen 1989, AIAA paper 89-0366).
 ///
 /// At an unresolved edge the fit overshoots, and a lone particle would hand momentum to nodes that few share, again and
-/// again: grains at twice the speed of free fall come of it. Dilated this far they carry no stress, so the flow does not
-/// feel the limit.
+/// again: grains at twice the speed of free fall come of it. What is faster than a frictionless fall from the top of the slab
+/// cannot be right, and what is slower is left as it is: the flow does not feel the limit.
 #[inline(always)]
 fn limit<T: Real>(step: &Step<'_, T>, block: &Block<T>, scratch: &mut Scratch<T>) {
-    let mut any = 0_u32;
+    let (mut any, mut outruns) = (0_u32, [false; BLOCK]);
     for k in 0..BLOCK {
-        any |= u32::from(block.plastic_strain[k] > step.limited_above);
+        let (vx, vz) = (scratch.motion.vx[k], scratch.motion.vz[k]);
+        let z = T::of(f64::from(block.place.row[k])) + block.place.gz[k];
+        let faster = vx * vx + vz * vz > step.fall * (step.top - z);
+        outruns[k] = (block.plastic_strain[k] > step.limited_above) & faster;
+        any |= u32::from(outruns[k]);
     }
     if any == 0 {
         return;
     }
     for k in 0..BLOCK {
-        if block.plastic_strain[k] > step.limited_above {
+        if outruns[k] {
             extremes(step, &block.place, k, scratch);
         }
     }
@@ -508,8 +519,7 @@ fn limit<T: Real>(step: &Step<'_, T>, block: &Block<T>, scratch: &mut Scratch<T>
             let tiny = T::of(1e-20);
             let up = max(highest[k][component] - v[k], zero) / max(up, tiny);
             let down = min(lowest[k][component] - v[k], zero) / min(down, -tiny);
-            let limited = block.plastic_strain[k] > step.limited_above;
-            let scale = if limited { min(min(up, down), one) } else { one };
+            let scale = if outruns[k] { min(min(up, down), one) } else { one };
             lx[k] = lx[k] * scale;
             lz[k] = lz[k] * scale;
         }
@@ -532,31 +542,11 @@ fn extremes<T: Real>(step: &Step<'_, T>, place: &Place<T>, k: usize, scratch: &m
     high.store(&mut scratch.highest[k]);
 }
 
-macro_rules! dispatched {
-    ($t:ty, $step:ident, $audit:ident) => {
-        /// [`step`] at the widest instructions of this machine.
-        #[multiversion(targets(
-            "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2",
-            "x86_64+avx2+bmi1+bmi2"
-        ))]
-        pub(super) fn $step(
-            input: &Step<'_, $t>,
-            blocks: &mut [Block<$t>],
-            motion: &mut [Motion<$t>],
-            grid: &mut ChunkGrid<$t>,
-        ) {
-            step(input, blocks, motion, grid);
-        }
-
-        /// [`audit`] at the widest instructions of this machine.
-        #[multiversion(targets(
-            "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl+avx2+bmi1+bmi2",
-            "x86_64+avx2+bmi1+bmi2"
-        ))]
-        pub(super) fn $audit(input: &Audit<'_, $t>, blocks: &[Block<$t>], grid: &mut ChunkGrid<$t>) {
-            audit(input, blocks, grid);
-        }
-    };
-}
-dispatched!(f32, step_f32, audit_f32);
-dispatched!(f64, step_f64, audit_f64);
+dispatched!(step_f32 => step(
+    input: &Step<'_, f32>, blocks: &mut [Block<f32>], motion: &mut [Motion<f32>], grid: &mut ChunkGrid<f32>
+));
+dispatched!(step_f64 => step(
+    input: &Step<'_, f64>, blocks: &mut [Block<f64>], motion: &mut [Motion<f64>], grid: &mut ChunkGrid<f64>
+));
+dispatched!(audit_f32 => audit(input: &Audit<'_, f32>, blocks: &[Block<f32>], grid: &mut ChunkGrid<f32>));
+dispatched!(audit_f64 => audit(input: &Audit<'_, f64>, blocks: &[Block<f64>], grid: &mut ChunkGrid<f64>));

@@ -19,7 +19,7 @@ pub use idempotency::{Answer, Held, Reservation};
 pub use outputs::OutputRecord;
 use rows::JobRow;
 
-use super::{Result, Store, StoreError, models::NewModel, to_json};
+use super::{Result, Store, StoreError, models::NewModel, selections::NewSelection, to_json};
 use crate::domain::{
     dataset::Dataset,
     job::{Event, Job, Status},
@@ -32,6 +32,8 @@ pub enum Kept {
     Model(Box<NewModel>),
     /// A data set, whose columns are one of the outputs.
     Dataset(Box<Dataset>),
+    /// What a feature elimination found.
+    Selection(Box<NewSelection>),
 }
 
 /// Which jobs a list shows.

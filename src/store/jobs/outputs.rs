@@ -3,7 +3,11 @@
 use sqlx::{FromRow, Row, Sqlite, Transaction, sqlite::SqliteRow};
 use uuid::Uuid;
 
+use super::attempts;
 use crate::store::{Result, Store};
+
+/// Jobs that have ended.
+const ENDED: &str = "SELECT id FROM job WHERE status IN ('successful', 'failed', 'dismissed')";
 
 /// An output whose bytes lie in the artifact store.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -46,8 +50,9 @@ pub(super) async fn insert(tx: &mut Transaction<'_, Sqlite>, job: Uuid, outputs:
 
 /// Digests that only this job and its children name: theirs go when the job goes. What a data set is made of stays.
 pub(super) async fn only_of(tx: &mut Transaction<'_, Sqlite>, job: Uuid) -> Result<Vec<String>> {
-    let sql = "SELECT DISTINCT sha256 FROM job_output WHERE job IN (SELECT id FROM job WHERE id = ?1 OR parent = ?1)
-               EXCEPT SELECT sha256 FROM job_output WHERE job NOT IN (SELECT id FROM job WHERE id = ?1 OR parent = ?1)
+    let sql = "WITH named AS (SELECT job, sha256 FROM job_output UNION SELECT job, sha256 FROM job_piece)
+               SELECT sha256 FROM named WHERE job IN (SELECT id FROM job WHERE id = ?1 OR parent = ?1)
+               EXCEPT SELECT sha256 FROM named WHERE job NOT IN (SELECT id FROM job WHERE id = ?1 OR parent = ?1)
                EXCEPT SELECT sha256 FROM dataset";
     Ok(sqlx::query_scalar(sql).bind(job.to_string()).fetch_all(&mut **tx).await?)
 }
@@ -60,5 +65,56 @@ impl Store {
     pub async fn job_outputs(&self, job: Uuid) -> Result<Vec<OutputRecord>> {
         let sql = "SELECT * FROM job_output WHERE job = ? ORDER BY name";
         Ok(sqlx::query_as(sql).bind(job.to_string()).fetch_all(&self.reader).await?)
+    }
+
+    /// Notes that an attempt hands over a piece of an output; to note it again changes nothing.
+    ///
+    /// # Errors
+    /// [`crate::store::StoreError::Fenced`] where the attempt counts no more.
+    pub async fn name_piece(&self, job: Uuid, attempt: u32, sha256: &str) -> Result<()> {
+        let mut tx = self.begin().await?;
+        attempts::fence(&mut tx, job, attempt).await?;
+        sqlx::query("INSERT OR IGNORE INTO job_piece (job, sha256) VALUES (?, ?)")
+            .bind(job.to_string())
+            .bind(sha256)
+            .execute(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        Ok(())
+    }
+
+    /// Digests of the pieces that a job has handed over.
+    ///
+    /// # Errors
+    /// [`crate::store::StoreError::Sql`] where the database cannot be read.
+    pub async fn job_pieces(&self, job: Uuid) -> Result<Vec<String>> {
+        let sql = "SELECT sha256 FROM job_piece WHERE job = ?";
+        Ok(sqlx::query_scalar(sql).bind(job.to_string()).fetch_all(&self.reader).await?)
+    }
+
+    /// Whether there are pieces of jobs that have ended.
+    ///
+    /// # Errors
+    /// [`crate::store::StoreError::Sql`] where the database cannot be read.
+    pub async fn has_spare_pieces(&self) -> Result<bool> {
+        let sql = format!("SELECT EXISTS (SELECT 1 FROM job_piece WHERE job IN ({ENDED}))");
+        Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_one(&self.reader).await?)
+    }
+
+    /// Forgets the pieces of jobs that have ended, and says which of them nothing else names.
+    ///
+    /// # Errors
+    /// [`crate::store::StoreError::Sql`] where it cannot be stored.
+    pub async fn forget_pieces(&self) -> Result<Vec<String>> {
+        let mut tx = self.begin().await?;
+        let spare = format!(
+            "SELECT sha256 FROM job_piece WHERE job IN ({ENDED}) EXCEPT SELECT sha256 FROM job_output
+             EXCEPT SELECT sha256 FROM job_piece WHERE job NOT IN ({ENDED})"
+        );
+        let digests = sqlx::query_scalar(sqlx::AssertSqlSafe(spare)).fetch_all(&mut *tx).await?;
+        let gone = format!("DELETE FROM job_piece WHERE job IN ({ENDED})");
+        sqlx::query(sqlx::AssertSqlSafe(gone)).execute(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(digests)
     }
 }

@@ -1,14 +1,16 @@
 //! What is measured on a flow: series at 24 frames a second, profiles, and the summary of a run.
 
 mod on_bed;
+mod pieces;
 mod profiles;
 mod series;
 mod summary;
 
 use serde::{Deserialize, Serialize};
 
+pub use pieces::Pieces;
 pub use profiles::{BIN_M, DepthProfile, VelocityProfile};
-pub use series::{EnergyRecord, FRONT, Series, TAIL};
+pub use series::{FRONT, Series, TAIL};
 pub use summary::{Deposit, Ending, ReachAngles, Summary};
 
 use super::GRAVITY_M_S2;
@@ -40,6 +42,8 @@ pub struct Scene {
     pub slab: Slab,
     /// Mass of the slab, kg a metre of width.
     pub mass_kg_m: f64,
+    /// Cell size of the mesh, m.
+    pub mesh_m: f64,
     /// Height by which `v_max` is scaled: `H0` of Li et al. (2020), m.
     pub drop_height_m: f64,
     /// Where along the track the middle of the slope is, m.
@@ -58,6 +62,8 @@ pub struct Observations {
     pub depth_profiles: Vec<DepthProfile>,
     /// At the centre of mass, as often.
     pub velocity_profiles: Vec<VelocityProfile>,
+    /// What the flow has broken into, as often.
+    pub pieces: Vec<Pieces>,
     /// Along the track, in the last frame: the deposit of a run that has ended.
     pub latest: DepthProfile,
 }
@@ -87,6 +93,7 @@ impl Observer {
         self.seen.latest = bins.depth_profile(snapshot.time_s, &on_bed, terrain, particle_mass);
         if frame.is_multiple_of(PROFILE_FRAMES) {
             self.seen.depth_profiles.push(self.seen.latest.clone());
+            self.seen.pieces.push(Pieces::new(snapshot, &self.scene, &bins));
             let centre = mean(on_bed.s.iter().copied());
             self.seen.velocity_profiles.push(velocity_profile(snapshot.time_s, &on_bed, terrain, centre));
         }
@@ -129,7 +136,7 @@ impl Observer {
     }
 
     /// Potential energy that was released until a frame, J a metre of width, at least that of a fall by the slab's thickness.
-    fn released(&self, until: &EnergyRecord) -> f64 {
+    fn released(&self, until: &Energies) -> f64 {
         let Scene { mass_kg_m, slab, .. } = &self.scene;
         let before = self.seen.series.energies.first().map_or(0.0, |first| first.potential);
         (before - until.potential).max(mass_kg_m * GRAVITY_M_S2 * slab.thickness_m)

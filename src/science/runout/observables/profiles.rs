@@ -81,6 +81,11 @@ impl Bins {
         kept.map(|(_, particles)| particles.len() as f64).collect()
     }
 
+    /// Counts of all bins from the first to the last that has a particle.
+    pub(super) fn masses(&self) -> impl Iterator<Item = f64> + Clone {
+        self.particles.iter().map(|particles| particles.len() as f64)
+    }
+
     /// Bed and surface velocity of every bin that has a particle, with its count of particles.
     pub(super) fn layers(&self, on_bed: &OnBed) -> Vec<Layers> {
         self.particles.iter().filter(|particles| !particles.is_empty()).map(|bin| Layers::new(bin, on_bed)).collect()

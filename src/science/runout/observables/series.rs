@@ -50,42 +50,7 @@ pub struct Series {
     /// Shape of the flow.
     pub shape: Vec<FlowShape>,
     /// Energies, J a metre of width.
-    pub energies: Vec<EnergyRecord>,
-}
-
-/// [`Energies`] as they are stored: J a metre of width.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
-pub struct EnergyRecord {
-    /// Kinetic energy of the particles' velocities.
-    pub kinetic: f64,
-    /// Kinetic energy of the affine part of their motion.
-    pub affine: f64,
-    /// Potential energy above the lowest point of the terrain.
-    pub potential: f64,
-    /// Elastic energy.
-    pub elastic: f64,
-    /// Dissipated by friction and impact at the bed so far.
-    pub bed: f64,
-    /// Dissipated in plastic flow so far.
-    pub plastic: f64,
-    /// Dissipated by the transfer between particles and grid so far.
-    pub transfer: f64,
-}
-
-impl From<Energies> for EnergyRecord {
-    fn from(of: Energies) -> Self {
-        let Energies { kinetic, affine, potential, elastic, bed, plastic, transfer } = of;
-        Self { kinetic, affine, potential, elastic, bed, plastic, transfer }
-    }
-}
-
-impl EnergyRecord {
-    /// All of them: constant where every term is accounted for.
-    #[must_use]
-    pub fn total(&self) -> f64 {
-        self.kinetic + self.affine + self.potential + self.elastic + self.bed + self.plastic + self.transfer
-    }
+    pub energies: Vec<Energies>,
 }
 
 impl Series {
@@ -116,7 +81,7 @@ impl Series {
         self.front_along_bed_m.push(front);
         self.fit_front_velocity();
         self.shape.push(shape(snapshot, on_bed, bins, (tail, front), release_length_m));
-        self.energies.push((*energies).into());
+        self.energies.push(*energies);
     }
 
     /// Speed of the centre of mass, m/s, one entry a frame.

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Observer, Scene, Series};
+use super::{Observer, PROFILE_FRAMES, Pieces, Scene, Series};
 use crate::runout::GRAVITY_M_S2;
 use crate::runout::regime::{Criteria, FlowShape, Indicators, Regime, classify};
 
@@ -44,6 +44,10 @@ pub struct Summary {
     pub reach_angle_deg: ReachAngles,
     /// What lies there at the end.
     pub deposit: Deposit,
+    /// What the flow had broken into half a second or less after the middle of the slope.
+    pub pieces_mid: Pieces,
+    /// What lies there at the end, or lay half a second or less before.
+    pub pieces_end: Pieces,
     /// Flow regime.
     pub regime: Regime,
     /// What the parameters alone say of the flow.
@@ -94,6 +98,8 @@ impl Observer {
         let (scene, series) = (&self.scene, &self.seen.series);
         let last = self.frames().checked_sub(1)?;
         let v_max = largest(&series.v99_m_s);
+        let pieces = &self.seen.pieces;
+        let pieces_at = |frame: usize| pieces.get(frame.div_ceil(PROFILE_FRAMES)).or(pieces.last()).copied();
         Some(Summary {
             v_max,
             v_max_scaled: v_max / (GRAVITY_M_S2 * scene.drop_height_m).sqrt(),
@@ -104,6 +110,8 @@ impl Observer {
             particle_v_max: largest(&series.particle_v_max_m_s),
             reach_angle_deg: reach_angles(scene, series, last),
             deposit: self.deposit(series.shape[last]),
+            pieces_mid: pieces_at(self.mid_frame()).unwrap_or_default(),
+            pieces_end: pieces.last().copied().unwrap_or_default(),
             regime: classify(self.criteria(last)),
             indicators: scene.indicators,
             energy_closure: self.energy_closure(last),
@@ -115,11 +123,16 @@ impl Observer {
         })
     }
 
-    /// The flow at mid slope, or at its fastest where it never came that far, and at its end.
-    fn criteria(&self, last: usize) -> Criteria {
+    /// The frame at mid slope, or the one of the largest speed of a flow that never came that far.
+    fn mid_frame(&self) -> usize {
         let series = &self.seen.series;
         let passed = series.com_x_m.iter().position(|&x| x >= self.scene.mid_slope_m);
-        let mid = passed.unwrap_or_else(|| place_of_largest(&series.com_speed_m_s()));
+        passed.unwrap_or_else(|| place_of_largest(&series.com_speed_m_s()))
+    }
+
+    /// The flow at mid slope and at its end.
+    fn criteria(&self, last: usize) -> Criteria {
+        let (series, mid) = (&self.seen.series, self.mid_frame());
         Criteria { mid_time_s: series.time_s[mid], mid: series.shape[mid], end: series.shape[last] }
     }
 

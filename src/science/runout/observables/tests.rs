@@ -12,7 +12,7 @@ fn flat() -> Terrain {
 fn scene(terrain: Terrain) -> Scene {
     let slab = Slab { x_m: 0.0, length_m: 10.0, thickness_m: 1.0 };
     let indicators = Indicators { friction_ratio: None, cohesion: 1.0, ductility: 0.1 };
-    Scene { indicators, terrain, slab, mass_kg_m: 2500.0, drop_height_m: 50.0, mid_slope_m: 10.9 }
+    Scene { indicators, terrain, slab, mass_kg_m: 2500.0, mesh_m: 0.1, drop_height_m: 50.0, mid_slope_m: 10.9 }
 }
 
 /// 100 by 20 particles that fill 10 m by 1 m from (`x`, 0) on and move along x with `velocity(height)`.
@@ -111,6 +111,34 @@ fn gaps_unevenness_and_broken_snow_are_counted() {
     close(deposit.mean_density, 250.0, 1e-3);
     assert_eq!(observer.seen().latest.velocity_m_s[15], None);
     assert_eq!(observer.seen().latest.depth_m[15], 0.0);
+}
+
+#[test]
+fn granules_are_counted_and_measured() {
+    let whole = observed([(block(0.0, 0.0, |_| 1.0), Energies::default())]);
+    let pieces = whole.seen().pieces[0];
+    assert_eq!((pieces.granules, pieces.granule_share, pieces.surges, pieces.surge_spacing_m), (1, 1.0, 1, None));
+    // 10 m by 1 m of snow in one piece
+    close(pieces.granule_size_m.unwrap(), 10_f64.sqrt(), 1e-9);
+
+    // 2 m, 3 m and 5 m long, 1 m apart; of the last one the upper half is dust
+    let mut flow = block(0.0, 0.0, |_| 1.0);
+    for (place, (x, strain)) in flow.x_m.iter_mut().zip(&mut flow.plastic_strain).enumerate() {
+        let (row, column) = (place / 100, place % 100);
+        *x += f32::from(u8::from(column >= 20) + u8::from(column >= 50));
+        if column >= 50 && row >= 10 {
+            *strain = 0.1;
+        }
+    }
+    let broken = observed([(flow, Energies::default())]);
+    let pieces = broken.seen().pieces[0];
+    assert_eq!((pieces.granules, pieces.surges), (3, 3));
+    close(pieces.granule_share, 0.75, 1e-12);
+    // 2, 2.5 and 3 m2
+    close(pieces.granule_size_m.unwrap(), 2.5_f64.sqrt(), 1e-9);
+    close(pieces.largest_granule_m.unwrap(), 3_f64.sqrt(), 1e-9);
+    // the first bins of the three, at 0, 3 and 7 m
+    close(pieces.surge_spacing_m.unwrap(), 3.5, 1e-9);
 }
 
 /// A block that flies along at 12 m/s for a second, then stands at once.
