@@ -309,7 +309,9 @@ mod tests {
     fn a_file_is_held_to_the_same_bounds_as_the_command_line() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("firn.toml");
-        for (text, name) in [("stall_s = 0", "stall_s"), ("lease_s = 4000", "lease_s"), ("max_body_mib = 0", "max_body_mib")] {
+        for (text, name) in
+            [("stall_s = 0", "stall_s"), ("lease_s = 4000", "lease_s"), ("max_body_mib = 0", "max_body_mib")]
+        {
             std::fs::write(&path, text).unwrap();
             let refusal = Settings::from_file(&path).unwrap_err().to_string();
             assert!(refusal.contains(name) && refusal.contains("firn.toml"), "{refusal}");

@@ -4,15 +4,12 @@ use std::collections::HashMap;
 
 use firn_science::forecast::day::{Activity, DayRecord, VARIABLES, Variable};
 use jiff::{Timestamp, civil::Date};
-use sqlx::{
-    AssertSqlSafe, FromRow, Row, SqliteConnection, sqlite::SqliteRow,
-};
+use sqlx::{AssertSqlSafe, FromRow, Row, SqliteConnection, sqlite::SqliteRow};
 
-use super::{Result, Store, StoreError, day_batch::DayBatch, from_json, parse_date, parse_timestamp, stations::Written};
-use crate::domain::{
-    avalanche::AvalancheRecord,
-    ids::StationId,
+use super::{
+    Result, Store, StoreError, day_batch::DayBatch, from_json, parse_date, parse_timestamp, stations::Written, to_json,
 };
+use crate::domain::{avalanche::AvalancheRecord, ids::StationId};
 
 /// Values of a day in the order of [`Variable::ALL`].
 pub type Values = [Option<f64>; VARIABLES];
