@@ -150,7 +150,8 @@ impl Desk {
     /// [`Problem`] of a failure of ours; then there is no data set.
     pub async fn keep_dataset(&self, mut dataset: Dataset, columns: Vec<u8>) -> Result<Dataset, Problem> {
         let _naming = self.0.naming.read().await;
-        let artifact = Artifact { name: COLUMNS.into(), media_type: OCTETS.into(), bytes: columns };
+        let artifact =
+            Artifact { name: COLUMNS.into(), media_type: OCTETS.into(), bytes: columns, ..Artifact::default() };
         let stored = self.0.artifacts.put(&artifact).await.map_err(Problem::internal)?;
         (dataset.sha256, dataset.size) = (stored.sha256, stored.size);
         self.0.store.insert_dataset(&dataset).await.map_err(Problem::internal)?;

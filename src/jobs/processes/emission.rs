@@ -219,7 +219,12 @@ pub fn drawn(figures: &[Figure], wanted: Figures) -> Result<(Vec<Artifact>, Valu
         for format in wanted.formats() {
             let name = format!("{}.{}", figure.name, format.extension());
             let bytes = figure.draw(*format).map_err(science)?;
-            artifacts.push(Artifact { name: name.clone(), media_type: format.media_type().into(), bytes });
+            artifacts.push(Artifact {
+                name: name.clone(),
+                media_type: format.media_type().into(),
+                bytes,
+                ..Artifact::default()
+            });
             outputs.push(name);
         }
         if !outputs.is_empty() {

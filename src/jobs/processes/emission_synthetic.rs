@@ -175,7 +175,7 @@ pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output,
     Ok(Output {
         results: json!({"truth": truth, "provenance": provenance}),
         keep: Some(serde_json::to_value(&kept).map_err(science)?),
-        artifacts: vec![Artifact { name: COLUMNS.into(), media_type: OCTETS.into(), bytes }],
+        artifacts: vec![Artifact { name: COLUMNS.into(), media_type: OCTETS.into(), bytes, ..Artifact::default() }],
         ..Output::default()
     })
 }

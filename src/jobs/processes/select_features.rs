@@ -190,6 +190,7 @@ fn picture(selection: &FeatureSelection) -> Artifact {
         name: "picture".to_owned(),
         media_type: "image/svg+xml".to_owned(),
         bytes: selection_svg::draw(selection, None).into_bytes(),
+        ..Artifact::default()
     }
 }
 
