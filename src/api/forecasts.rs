@@ -364,15 +364,21 @@ pub async fn list_forecasts(
     }
     let history = speaker.history(&state, first, last).await?;
     let model = Arc::clone(&speaker.model);
-    let forecasts: Vec<Forecast> = tokio::task::spawn_blocking(move || {
-        first
-            .series(1.day())
-            .take_while(|date| *date <= last)
-            .filter_map(|date| model.forecast(&history, date).ok())
-            .collect()
+    let forecasts = tokio::task::spawn_blocking(move || {
+        let days = first.series(1.day()).take_while(|date| *date <= last);
+        let forecast = |date| match model.forecast(&history, date) {
+            // a day that cannot be forecast is left out; a model that cannot forecast at all is not
+            Err(ForecastError::NoObservation { .. } | ForecastError::NoBaseDay { .. }) => None,
+            other => Some(other),
+        };
+        days.filter_map(forecast).collect::<Result<Vec<Forecast>, _>>()
     })
     .await
     .map_err(Problem::internal)?;
+    let forecasts = match forecasts {
+        Ok(forecasts) => forecasts,
+        Err(error) => return Err(speaker.refuse(&state, error).await?.into()),
+    };
     let forecasts = forecasts.into_iter().map(|forecast| speaker.resource(forecast)).collect();
     respond::resource(&conditions, &ForecastList { forecasts })
 }

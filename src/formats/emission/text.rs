@@ -156,7 +156,8 @@ impl Header {
         Err(FileError::NoHeader(super::canonical_names()))
     }
 
-    /// The header that `line` is: at least two of its fields, or half of them, name known columns.
+    /// The header that `line` is: at least two of its fields name known columns, or one does where it stands alone or has a
+    /// canonical name. A line such as `Date Time` above the table is none.
     fn of(line: &[u8], separator: Separator) -> Option<Self> {
         let mut ranges = Vec::new();
         separator.split(line.strip_prefix(b"#").unwrap_or(line), &mut ranges);
@@ -164,7 +165,8 @@ impl Header {
         let fields: Vec<String> =
             ranges.into_iter().map(|range| String::from_utf8_lossy(&line[range]).into_owned()).collect();
         let known = fields.iter().filter(|field| meaning(field).is_some()).count();
-        let is_header = known >= 2 || (known == 1 && fields.len() <= 2);
+        let canonical = fields.iter().any(|field| Column::from_name(field).is_some());
+        let is_header = known >= 2 || (known == 1 && (fields.len() == 1 || canonical));
         is_header.then_some(Self { separator, fields })
     }
 }
@@ -285,7 +287,7 @@ mod tests {
 
     #[test]
     fn an_export_of_mistras_is_read_with_its_block_of_lines() {
-        let text = "Physical Acoustics Corporation\nWed Nov 25 10:00:00 2026\n\n\
+        let text = "Physical Acoustics Corporation\nDate Time\nWed Nov 25 10:00:00 2026\n\n\
                     ID  SSSSSSSS.mmmuuun  CH   RISE  COUN  ENER  DURATION  AMP  A-FRQ  ABS-ENERGY\n\
                     1   0.0157380  1  12  5  0  120  45  41  1.5E+01\n\
                     211 0.5\n\

@@ -8,10 +8,11 @@ use super::{
 use crate::science::emission::{
     activity::{Abscissa, Activity},
     aftershocks::Aftershocks,
-    analysis::{DistributionResult, MapResult, Outcome, PhaseComparison, WaitingResult},
+    analysis::{DistributionResult, MapResult, Outcome, PhaseComparison, WaitingResult, density},
     catalogue::{Catalogue, Column},
     correlation::CorrelationIntegral,
     duration::DurationScaling,
+    tails::Rounding,
     waiting::{DensityPoint, log_density},
 };
 
@@ -385,14 +386,14 @@ fn phases(of: &Of<'_>, found: &PhaseComparison) -> Vec<Figure> {
 pub fn of_catalogue(catalogue: &Catalogue, name: &str, synthetic: bool) -> Option<Figure> {
     let of = Of { prefix: "", dataset: named(name, synthetic) };
     let subtitle = format!("{} hits", catalogue.len());
-    let (title, symbol, values) = match catalogue.amplitudes_v("picture") {
-        Ok(amplitudes) => ("Distribution of the amplitude", "A₀ (V)".to_owned(), amplitudes),
+    let (title, symbol, points) = match catalogue.amplitude_sample(None, Rounding::Nearest, "picture") {
+        Ok(sample) => ("Distribution of the amplitude", "A₀ (V)".to_owned(), density(&sample)),
         Err(_) => {
             let (column, values) = catalogue.columns().find(|(column, _)| !matches!(column, Column::Phase))?;
-            ("Distribution of a column", format!("{} ({})", column.name(), column.unit()), values.to_vec())
+            ("Distribution of a column", format!("{} ({})", column.name(), column.unit()), log_density(values, 5))
         }
     };
-    let points = density_points(&log_density(&values, 10));
+    let points = density_points(&points);
     (!points.is_empty()).then(|| {
         of.figure(
             "picture",

@@ -240,7 +240,9 @@ pub fn fit_sample(
     })
 }
 
-fn density(sample: &Sample) -> Vec<DensityPoint> {
+/// The density of a sample in bins of equal ratio: five a decade, or whole levels of about 2 dB where decibels were rounded.
+#[must_use]
+pub fn density(sample: &Sample) -> Vec<DensityPoint> {
     let levels = match sample {
         Sample::Exact(values) => {
             let mut density = log_density(values, 5);

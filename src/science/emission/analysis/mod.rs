@@ -11,7 +11,7 @@ mod tests;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-pub use distribution::{CurvePoint, DistributionResult, EnergyConsistency, Fit, fit_sample};
+pub use distribution::{CurvePoint, DistributionResult, EnergyConsistency, Fit, density, fit_sample};
 pub use phases::{Difference, PhaseComparison, PhaseSummary};
 pub use requests::{
     ActivityOptions, CalibrationOptions, DistributionOptions, MapOptions, ModelChoice, PhaseOptions, ValidationOptions,
