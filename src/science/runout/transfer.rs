@@ -75,10 +75,9 @@ pub(super) struct Step<'a, T> {
     /// For every column the number of its node at row 0, were there one.
     pub(super) offset: &'a [i32],
     pub(super) material: &'a Material<T>,
-    /// Volumetric plastic strain above which the affine motion of what outruns free fall is limited.
+    /// Volumetric plastic strain above which the affine motion of what is nearly in free fall is limited.
     pub(super) limited_above: T,
-    /// Twice the acceleration of gravity, cells a step a step, and the row that all snow fell from: `fall (top - z)` is the
-    /// square of the speed of free fall.
+    /// `fall (top - z)` is the square of the speed, cells a step, from which on that holds at the row `z`.
     pub(super) fall: T,
     pub(super) top: T,
 }
@@ -481,12 +480,12 @@ fn audit<T: Real>(step: &Audit<'_, T>, blocks: &[Block<T>], grid: &mut ChunkGrid
     }
 }
 
-/// Limits the affine motion of dilated particles that outrun free fall, so that no node is given a velocity outside of those
-/// of the particle's nodes (after Barth & Jespersen 1989, AIAA paper 89-0366).
+/// Limits the affine motion of dilated particles that are nearly in free fall, so that no node is given a velocity outside of
+/// those of the particle's nodes (after Barth & Jespersen 1989, AIAA paper 89-0366).
 ///
 /// At an unresolved edge the fit overshoots, and a lone particle would hand momentum to nodes that few share, again and
-/// again: grains at twice the speed of free fall come of it. What is faster than a frictionless fall from the top of the slab
-/// cannot be right, and what is slower is left as it is: the flow does not feel the limit.
+/// again: grains at twice the speed of free fall come of it. What comes near to a frictionless fall from the top of the slab is
+/// on its way there; what is slower is left as it is, so that the flow does not feel the limit.
 #[inline(always)]
 fn limit<T: Real>(step: &Step<'_, T>, block: &Block<T>, scratch: &mut Scratch<T>) {
     let (mut any, mut outruns) = (0_u32, [false; BLOCK]);
