@@ -3,6 +3,7 @@
 use std::{
     net::{IpAddr, Ipv4Addr, SocketAddr},
     num::NonZeroUsize,
+    ops::RangeInclusive,
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -11,6 +12,12 @@ use clap::Args;
 use serde::Deserialize;
 
 use crate::jobs::artifacts::ArtifactAddress;
+
+/// What a lease may be, s.
+const LEASES_S: RangeInclusive<u64> = 1..=3600;
+
+/// What the patience with a computation may be, s.
+const STALLS_S: RangeInclusive<u64> = 1..=1_000_000;
 
 /// What can be set; every field may come from a flag, an environment variable or the TOML file.
 #[derive(Args, Clone, Debug, Default, Deserialize)]
@@ -27,7 +34,13 @@ pub struct Settings {
     pub allow_anonymous: Option<bool>,
     /// Largest request body in MiB [default: 32]
     #[arg(long, env = "FIRN_MAX_BODY_MIB", value_name = "MIB")]
-    pub max_body_mib: Option<usize>,
+    pub max_body_mib: Option<NonZeroUsize>,
+    /// Largest file of a data set in MiB [default: 1024]
+    #[arg(long, env = "FIRN_MAX_DATASET_MIB", value_name = "MIB")]
+    pub max_dataset_mib: Option<u64>,
+    /// Seconds that the upload of a data set may take [default: 600]
+    #[arg(long, env = "FIRN_UPLOAD_TIMEOUT_S", value_name = "S")]
+    pub upload_timeout_s: Option<u64>,
     /// Seconds that a request may take [default: 30]
     #[arg(long, env = "FIRN_REQUEST_TIMEOUT_S", value_name = "S")]
     pub request_timeout_s: Option<u64>,
@@ -53,10 +66,10 @@ pub struct Settings {
     #[arg(long, env = "FIRN_ENGINE", value_name = "ENGINE")]
     pub engine: Option<EngineAddress>,
     /// Seconds that a worker on another machine may be silent before its job is given to another [default: 30]
-    #[arg(long, env = "FIRN_LEASE_S", value_name = "S", value_parser = clap::value_parser!(u64).range(1..=3600))]
+    #[arg(long, env = "FIRN_LEASE_S", value_name = "S", value_parser = clap::value_parser!(u64).range(LEASES_S))]
     pub lease_s: Option<u64>,
     /// Seconds for which a computation may make no step before its job is failed as `stalled` [default: 900]
-    #[arg(long, env = "FIRN_STALL_S", value_name = "S", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    #[arg(long, env = "FIRN_STALL_S", value_name = "S", value_parser = clap::value_parser!(u64).range(STALLS_S))]
     pub stall_s: Option<u64>,
     /// MiB of memory that the particles and the grid of a run-out simulation may take; what would take more is refused
     /// [default: 2048]
@@ -71,6 +84,10 @@ pub struct Settings {
     /// Seconds that a shutdown may take [default: 20]
     #[arg(long, env = "FIRN_SHUTDOWN_TIMEOUT_S", value_name = "S")]
     pub shutdown_timeout_s: Option<u64>,
+    /// Seconds after a signal for which requests are still answered, `/readyz` with 503, so that whoever balances the load
+    /// looks elsewhere before the port closes [default: 1]
+    #[arg(long, env = "FIRN_GRACE_S", value_name = "S")]
+    pub grace_s: Option<u64>,
     /// `text` for a terminal, `json` for a collector of logs [default: text]
     #[arg(long, env = "FIRN_LOG_FORMAT", value_name = "FORMAT")]
     pub log_format: Option<LogFormat>,
@@ -87,6 +104,20 @@ pub enum EngineAddress {
     Local,
     /// A NATS server.
     Nats(String),
+}
+
+/// As it may be logged: without the name and password that an address may hold.
+impl std::fmt::Display for EngineAddress {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Local => f.write_str("local"),
+            Self::Nats(address) => {
+                let (scheme, rest) = address.split_once("://").unwrap_or(("nats", address));
+                let host = rest.rsplit_once('@').map_or(rest, |(_, host)| host);
+                write!(f, "{scheme}://{host}")
+            }
+        }
+    }
 }
 
 impl std::str::FromStr for EngineAddress {
@@ -132,6 +163,10 @@ pub struct Config {
     pub allow_anonymous: bool,
     /// Largest request body, bytes.
     pub max_body_bytes: usize,
+    /// Largest file of a data set, bytes.
+    pub max_dataset_bytes: u64,
+    /// How long the upload of a data set may take.
+    pub upload_timeout: Duration,
     /// How long a request may take.
     pub request_timeout: Duration,
     /// Requests that are worked on at once.
@@ -158,6 +193,8 @@ pub struct Config {
     pub keep_jobs_bytes: u64,
     /// How long a shutdown may take.
     pub shutdown_timeout: Duration,
+    /// For how long after a signal requests are still answered.
+    pub grace: Duration,
     /// How log lines look.
     pub log_format: LogFormat,
     /// What to log.
@@ -192,7 +229,21 @@ impl Settings {
     /// [`ConfigError`] naming the file, the line and what is accepted.
     pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.into(), source })?;
-        toml::from_str(&text).map_err(|error| ConfigError::Parse { path: path.into(), message: error.to_string() })
+        let refuse = |message: String| ConfigError::Parse { path: path.into(), message };
+        let settings: Self = toml::from_str(&text).map_err(|error| refuse(error.to_string()))?;
+        settings.check_bounds().map_err(refuse)?;
+        Ok(settings)
+    }
+
+    /// What the command line refuses by itself.
+    fn check_bounds(&self) -> Result<(), String> {
+        let bounds = [("lease_s", self.lease_s, LEASES_S), ("stall_s", self.stall_s, STALLS_S)];
+        for (name, value, accepted) in bounds {
+            if let Some(value) = value.filter(|value| !accepted.contains(value)) {
+                return Err(format!("{name} must be from {} to {}, not {value}", accepted.start(), accepted.end()));
+            }
+        }
+        Ok(())
     }
 
     /// The settings in force: `self` where it says something, then `file`, then the default.
@@ -210,7 +261,13 @@ impl Settings {
                 .unwrap_or_else(|| ArtifactAddress::Folder(data_dir.join("artifacts"))),
             data_dir,
             allow_anonymous: self.allow_anonymous.or(file.allow_anonymous).unwrap_or(false),
-            max_body_bytes: self.max_body_mib.or(file.max_body_mib).unwrap_or(32).saturating_mul(MIB),
+            max_body_bytes: self.max_body_mib.or(file.max_body_mib).map_or(32, NonZeroUsize::get).saturating_mul(MIB),
+            max_dataset_bytes: self
+                .max_dataset_mib
+                .or(file.max_dataset_mib)
+                .unwrap_or(1024)
+                .saturating_mul(1024 * 1024),
+            upload_timeout: Duration::from_secs(self.upload_timeout_s.or(file.upload_timeout_s).unwrap_or(600)),
             request_timeout: Duration::from_secs(self.request_timeout_s.or(file.request_timeout_s).unwrap_or(30)),
             max_requests: self.max_requests.or(file.max_requests).map_or(512, NonZeroUsize::get),
             compute_threads: self.compute_threads.or(file.compute_threads).map_or(cores, NonZeroUsize::get),
@@ -227,6 +284,7 @@ impl Settings {
             keep_jobs_days: self.keep_jobs_days.or(file.keep_jobs_days).unwrap_or(90),
             keep_jobs_bytes: self.keep_jobs_mib.or(file.keep_jobs_mib).unwrap_or(20 * 1024).saturating_mul(1024 * 1024),
             shutdown_timeout: Duration::from_secs(self.shutdown_timeout_s.or(file.shutdown_timeout_s).unwrap_or(20)),
+            grace: Duration::from_secs(self.grace_s.or(file.grace_s).unwrap_or(1)),
             log_format: self.log_format.or(file.log_format).unwrap_or(LogFormat::Text),
             log: self.log.or(file.log).unwrap_or_else(|| "info".into()),
         }
@@ -245,6 +303,25 @@ mod tests {
         assert_eq!(config.listen.port(), 9001);
         assert_eq!(config.max_body_bytes, 1024 * 1024);
         assert_eq!(config.job_slots, 2);
+    }
+
+    #[test]
+    fn a_file_is_held_to_the_same_bounds_as_the_command_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("firn.toml");
+        for (text, name) in
+            [("stall_s = 0", "stall_s"), ("lease_s = 4000", "lease_s"), ("max_body_mib = 0", "max_body_mib")]
+        {
+            std::fs::write(&path, text).unwrap();
+            let refusal = Settings::from_file(&path).unwrap_err().to_string();
+            assert!(refusal.contains(name) && refusal.contains("firn.toml"), "{refusal}");
+        }
+    }
+
+    #[test]
+    fn no_password_is_logged() {
+        let address: EngineAddress = "tls://bob:s3cret@nats.example:4222".parse().unwrap();
+        assert_eq!(address.to_string(), "tls://nats.example:4222");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 //!
 //! `src/README.md` is the map: what lives where, which way the arrows point, and what must never happen.
 
+pub mod analyse;
 pub mod api;
 pub mod clock;
 pub mod config;

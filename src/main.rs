@@ -4,6 +4,7 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, Parser, Subcommand};
 use firn::{
+    analyse::{self, Analyse},
     api::openapi,
     clock,
     config::{EngineAddress, Settings},
@@ -32,6 +33,8 @@ enum Command {
     /// Make, list and revoke the keys of the API
     #[command(subcommand)]
     Key(Key),
+    /// Analyse a file of acoustic emission and print what was found as JSON
+    Analyse(Box<Analyse>),
     /// Print the OpenAPI document
     Openapi,
 }
@@ -108,6 +111,7 @@ fn main() -> ExitCode {
         Command::Serve(serve) => block_on(run_server(*serve)),
         Command::Worker(work) => block_on(run_worker(*work)),
         Command::Key(key) => block_on(run_key(key)),
+        Command::Analyse(options) => analyse::run(&options).map(|found| print(&found)),
         Command::Openapi => {
             print(openapi::text().trim_end());
             Ok(())
@@ -122,9 +126,10 @@ fn main() -> ExitCode {
     }
 }
 
-#[expect(clippy::print_stdout, reason = "the answer of a command")]
 fn print(text: &str) {
-    println!("{text}");
+    use std::io::Write as _;
+    // a reader that has seen enough (`| head`) is no failure
+    let _ = writeln!(std::io::stdout(), "{text}");
 }
 
 fn eprintln(text: &str) {
@@ -159,7 +164,7 @@ async fn run_worker(work: Work) -> Result<(), ServerError> {
     let host = std::env::var("HOSTNAME").unwrap_or_else(|_| "worker".into());
     let name = work.name.unwrap_or_else(|| format!("{host}-{}", std::process::id()));
     let options = WorkerOptions { name, threads: config.compute_threads, slots: config.job_slots, stall: config.stall };
-    tracing::info!(name = options.name, slots = options.slots, "firn works for {address}");
+    tracing::info!(name = options.name, slots = options.slots, "firn works for {}", config.engine);
     server::work(address, options, config.shutdown_timeout, stop).await
 }
 

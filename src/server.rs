@@ -2,7 +2,7 @@
 
 use std::{net::SocketAddr, sync::Arc, time::Duration};
 
-use tokio::net::TcpListener;
+use tokio::{net::TcpListener, sync::Semaphore};
 use tokio_util::sync::CancellationToken;
 
 use crate::{
@@ -18,6 +18,9 @@ use crate::{
     },
     store::{self, Store},
 };
+
+/// Files of acoustic emission that are read at once: each needs some hundreds of MiB where it is large.
+const FILES_AT_ONCE: usize = 2;
 
 /// Whatever keeps the server from starting or running.
 pub type ServerError = Box<dyn std::error::Error + Send + Sync>;
@@ -43,6 +46,7 @@ impl Server {
     pub async fn bind(config: Config) -> Result<Self, ServerError> {
         let lock = store::lock(&config.data_dir)?;
         let store = Store::open(&config.data_dir).await?;
+        api::sweep(&config.data_dir)?;
         refuse_open_door(&config, &store).await?;
         let listener = TcpListener::bind(config.listen)
             .await
@@ -76,7 +80,14 @@ impl Server {
             }
         };
         let metrics = Metrics::new()?;
-        let state = AppState { store, desk, metrics, config: Arc::new(config), stopping: CancellationToken::new() };
+        let state = AppState {
+            store,
+            desk,
+            metrics,
+            config: Arc::new(config),
+            intake: Arc::new(Semaphore::new(FILES_AT_ONCE)),
+            stopping: CancellationToken::new(),
+        };
         Ok(Self { listener, state, worker, questions, _lock: lock })
     }
 
@@ -115,6 +126,8 @@ impl Server {
             async move {
                 stop.cancelled().await;
                 state.stopping.cancel();
+                // not ready, and still there to say so
+                tokio::time::sleep(state.config.grace.min(deadline / 2)).await;
             }
         };
         let serve = axum::serve(listener, router).with_graceful_shutdown(begin);

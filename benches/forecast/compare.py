@@ -1,6 +1,6 @@
 """Medians, ratios and agreement of the rounds that `run` left in a folder; exit status 1 if the two sides disagree.
 
-The speed wanted (one fit at least twice as fast, the grid at least four times) is printed beside what was measured and does not
+The speed wanted (one fit at least twice as fast, the grid at least five times, the elimination fifteen) is printed beside what was measured and does not
 change the exit status: a busy machine must not turn a bench red.
 """
 
@@ -45,13 +45,20 @@ def main():
         assert (fit["c"], fit["gamma"]) == (other["c"], other["gamma"])
         line(f"fit C {fit['c']:g} gamma {fit['gamma']:g}", *([r["fits"][k]["seconds"] for r in side] for side in (ours, theirs)), 2)
         worst_decision = max(worst_decision, *(abs(a - b) for a, b in zip(fit["decision"], other["decision"], strict=True)))
-    line("grid 6 x 6 x 5 folds", *([r["grid_seconds"] for r in side] for side in (ours, theirs)), 4)
+    line("grid 6 x 6 x 5 folds", *([r["grid_seconds"] for r in side] for side in (ours, theirs)), 5)
+    line("elimination 60 to 1, 5 folds", *([r["rfe_seconds"] for r in side] for side in (ours, theirs)), 15)
     worst_auc = max(abs(a - b) for a, b in zip(ours[0]["auc"], theirs[0]["auc"], strict=True))
     print(f"largest difference of a fold-mean AUC: {worst_auc:.1e} (allowed {AUC_TOLERANCE})")
+    curves = list(zip(ours[0]["curve"], theirs[0]["curve"], strict=True))
+    worst_curve = max(abs(a - b) for a, b in curves)
+    print(f"largest difference of the elimination's curve: {worst_curve:.1e} (allowed {AUC_TOLERANCE})")
+    agreed = next((k for k, (a, b) in enumerate(zip(ours[0]["removed"], theirs[0]["removed"])) if a != b), "all")
+    print(f"features removed in the same order on all rows: {agreed} of {len(ours[0]['removed'])}")
+    print("curve:", *(f"{len(curves) - k}: {curves[k][0]:.4f}" for k in range(0, len(curves), 10)))
     print(f"largest difference of a decision value: {worst_decision:.1e} (allowed {DECISION_TOLERANCE})")
-    same = all(r["auc"] == ours[0]["auc"] for r in ours)
+    same = all((r["auc"], r["curve"]) == (ours[0]["auc"], ours[0]["curve"]) for r in ours)
     print(f"firn gives the same bits in every round: {same}")
-    sys.exit(0 if same and worst_auc <= AUC_TOLERANCE and worst_decision <= DECISION_TOLERANCE else 1)
+    sys.exit(0 if same and max(worst_auc, worst_curve) <= AUC_TOLERANCE and worst_decision <= DECISION_TOLERANCE else 1)
 
 
 main()

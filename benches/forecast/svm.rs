@@ -7,8 +7,12 @@ use std::error::Error;
 use std::time::Instant;
 
 use firn_science::forecast::matrix::Matrix;
-use firn_science::forecast::svm::{Cost, Grid, Kernel, KernelFamily, SolverOptions, grid_search, train};
+use firn_science::forecast::svm::{
+    Cost, EliminationRecipe, Grid, Kernel, KernelFamily, SolverOptions, eliminate, grid_search, train,
+};
+use firn_science::forecast::verification::auc;
 use firn_science::progress::Unobserved;
+use rayon::prelude::*;
 
 const FITS: [(f64, f64); 5] = [(1.0, 0.003), (1.0, 0.01), (10.0, 0.003), (10.0, 0.01), (10.0, 0.03)];
 
@@ -44,6 +48,36 @@ fn fit(set: &Set, c: f64, gamma: f64) -> Result<String, Box<dyn Error>> {
     ))
 }
 
+/// Elimination down to one feature on all rows, and without each fold, which is scored at every size: the curve, and the
+/// order on all rows.
+fn elimination(set: &Set) -> Result<String, Box<dyn Error>> {
+    // the tolerance of scikit-learn
+    let options = SolverOptions { epsilon: 1e-3, ..SolverOptions::default() };
+    let recipe = EliminationRecipe { c: 1.0, gamma: 0.01, least: 1 };
+    let folds = set.fold.iter().max().map_or(0, |&last| last + 1);
+    let start = Instant::now();
+    let splits: Vec<Option<usize>> = std::iter::once(None).chain((0..folds).map(Some)).collect();
+    let runs: Vec<(Vec<usize>, Vec<f64>)> = splits
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|held_out| {
+            let (training, test): (Vec<usize>, Vec<usize>) =
+                (0..set.labels.len()).partition(|&i| Some(set.fold[i]) != held_out);
+            let of = |rows: &[usize]| rows.iter().map(|&i| set.labels[i]).collect::<Vec<bool>>();
+            let (x, other) = (set.x.select_rows(&training), set.x.select_rows(&test));
+            let found = eliminate(&x, &of(&training), &other, &recipe, &options, &Unobserved)?;
+            let event = of(&test);
+            let scores = found.decision_values.iter().map(|values| auc(values, &event).unwrap_or(f64::NAN)).collect();
+            Ok((found.removed, scores))
+        })
+        .collect::<Result<_, firn_science::forecast::svm::EliminationError>>()?;
+    let seconds = start.elapsed().as_secs_f64();
+    let sizes = runs.last().map_or(0, |(_, scores)| scores.len());
+    let mean = |size: usize| runs[1..].iter().map(|(_, scores)| scores[size]).sum::<f64>() / folds as f64;
+    let curve: Vec<f64> = (0..sizes).map(mean).collect();
+    Ok(format!(r#""rfe_seconds":{seconds},"curve":{curve:?},"removed":{:?}"#, runs[0].0))
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let Some(path) = std::env::args().skip(1).find(|argument| !argument.starts_with('-')) else { return Ok(()) };
     let set = read(&path)?;
@@ -53,8 +87,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let result = grid_search(&set.x, &set.labels, &set.fold, family, &Grid::default(), &options, &Unobserved)?;
     let seconds = start.elapsed().as_secs_f64();
     let auc: Vec<f64> = result.points.iter().map(|point| point.auc).collect();
+    let elimination = elimination(&set)?;
     println!(
-        r#"{{"version":"firn {}","fits":[{fits}],"grid_seconds":{seconds},"auc":{auc:?}}}"#,
+        r#"{{"version":"firn {}","fits":[{fits}],"grid_seconds":{seconds},"auc":{auc:?},{elimination}}}"#,
         env!("CARGO_PKG_VERSION")
     );
     Ok(())

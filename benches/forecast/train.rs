@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use firn_science::forecast::day::Label;
 use firn_science::forecast::features::FeatureSetId;
-use firn_science::forecast::model::{TrainingOptions, train};
+use firn_science::forecast::model::{FeatureChoice, TrainingOptions, train};
 use firn_science::forecast::svm::{Grid, KernelFamily};
 use firn_science::forecast::synthetic::{REPORTED, synthetic_station};
 use firn_science::forecast::verification::ThresholdRule;
@@ -19,6 +19,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         label: Label::Observed,
         lead: 0,
         feature_set: FeatureSetId::Expert,
+        features: FeatureChoice::All,
         kernel: KernelFamily::Gaussian,
         reported: REPORTED.to_vec(),
         seed: 1,

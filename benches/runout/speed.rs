@@ -1,16 +1,18 @@
 //! Particle-steps a second of a run. One line of JSON:
 //!
 //!     cargo bench -p firn-science --bench runout -- [--regime cold_dense] [--scale 1] [--mesh 0.05] [--precision f32]
-//!         [--from 0] [--steps 1000] [--threads 1]
+//!         [--from 0] [--steps 1000] [--threads 1] [--state FILE]
 //!
 //! `--scale` 1 is Group II of Li et al. (2020), Table 1; 2.5 and 4 are Groups IV and V. `--from` are seconds since release
-//! before the clock starts. The rate is that of the best of ten parts, and of all.
+//! before the clock starts; the state then is read from the file, or left there for the next build to be timed on. The rate
+//! is that of all, of the best of ten parts, and, of one thread on Linux, that a second of processor time. The centre of mass
+//! at the end shows whether two programs computed the same.
 #![expect(clippy::print_stdout, reason = "a bench reports on the terminal")]
 
 use std::{collections::HashMap, error::Error, time::Instant};
 
 use firn_science::progress::Unobserved;
-use firn_science::runout::{Precision, RunoutError, Setup, Simulation};
+use firn_science::runout::{Precision, Setup, Simulation};
 
 #[path = "group_2.rs"]
 mod group_2;
@@ -29,16 +31,21 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (from, steps) = (number("from", "0")?, number("steps", "1000")?);
     let threads = number("threads", "1")? as usize;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-    let measured = pool.install(|| measure(&setup, from, steps))?;
+    let measured = pool
+        .install(|| measure(&setup, from, steps, options.get("state").copied()))
+        .map_err(|error| error.to_string())?;
     println!(
         "{{\"code\":\"firn\",\"regime\":\"{regime}\",\"mesh_m\":{},\"precision\":\"{}\",\"threads\":{threads},\
-         \"particles\":{},\"from_s\":{from},\"steps\":{},\"particle_steps_per_s\":{:.4e},\"best\":{:.4e}}}",
+         \"particles\":{},\"from_s\":{from},\"steps\":{},\"particle_steps_per_s\":{:.4e},\"best\":{:.4e},\
+         \"of_processor_time\":{:.4e},\"centre_m\":{:?}}}",
         setup.mesh_m,
         text("precision", "f32"),
         measured.particles,
         measured.steps,
         measured.rate,
         measured.best,
+        measured.of_processor_time,
+        measured.centre_m,
     );
     Ok(())
 }
@@ -47,16 +54,42 @@ fn main() -> Result<(), Box<dyn Error>> {
 struct Measured {
     particles: usize,
     steps: u64,
-    /// Particle-steps a second, of all and of the best part.
+    /// Particle-steps a second, of all, of the best part, and of the time that this thread was running.
     rate: f64,
     best: f64,
+    of_processor_time: f64,
+    /// Centre of mass at the end, m.
+    centre_m: [f64; 2],
 }
 
-fn measure(setup: &Setup, from: f64, steps: f64) -> Result<Measured, RunoutError> {
+/// How long this thread has been running, s; no number where the system does not say.
+fn processor_s() -> f64 {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
+    text.split(' ').next().and_then(|ns| ns.parse::<f64>().ok()).map_or(f64::NAN, |ns| ns * 1e-9)
+}
+
+/// The run at `from` seconds, out of the file if it is there.
+fn begun(setup: &Setup, from: f64, state: Option<&str>) -> Result<Simulation, Box<dyn Error + Send + Sync>> {
+    if let Some(saved) = state.and_then(|path| std::fs::read(path).ok()) {
+        return Ok(Simulation::resume(setup, &saved)?);
+    }
     let mut simulation = Simulation::new(setup)?;
     simulation.step_until(from, &Unobserved)?;
+    if let Some(path) = state {
+        std::fs::write(path, simulation.checkpoint(setup))?;
+    }
+    Ok(simulation)
+}
+
+fn measure(
+    setup: &Setup,
+    from: f64,
+    steps: f64,
+    state: Option<&str>,
+) -> Result<Measured, Box<dyn Error + Send + Sync>> {
+    let mut simulation = begun(setup, from, state)?;
     let particles = simulation.particles();
-    let (start, begun, first) = (Instant::now(), simulation.time_s(), simulation.steps());
+    let (start, begun, first, running) = (Instant::now(), simulation.time_s(), simulation.steps(), processor_s());
     let (mut best, mut part_start, mut part_steps) = (0.0_f64, start, first);
     for part in 1..=10 {
         simulation.step_until(begun + steps * setup.time_step_s * f64::from(part) / 10.0, &Unobserved)?;
@@ -65,6 +98,8 @@ fn measure(setup: &Setup, from: f64, steps: f64) -> Result<Measured, RunoutError
         (part_start, part_steps) = (Instant::now(), simulation.steps());
     }
     let done = (simulation.steps() - first) as f64 * particles as f64;
-    let rate = done / start.elapsed().as_secs_f64();
-    Ok(Measured { particles, steps: simulation.steps() - first, rate, best })
+    let (rate, of_processor_time) = (done / start.elapsed().as_secs_f64(), done / (processor_s() - running));
+    let end = simulation.snapshot();
+    let centre_m = [end.x_m, end.z_m].map(|at| at.iter().map(|&at| f64::from(at)).sum::<f64>() / particles as f64);
+    Ok(Measured { particles, steps: simulation.steps() - first, rate, best, of_processor_time, centre_m })
 }

@@ -21,13 +21,14 @@ use super::{
 use crate::{
     clock,
     domain::{
+        avalanche::AvalancheRecord,
         ids::StationId,
         problem::{Code, Problem},
         station::Station,
     },
     science::forecast::{
         day::{DayRecord, season_of},
-        model::{Category, Forecast, ForecastError, InputQuality, SimilarDay, TrainedModel},
+        model::{Category, Explanation, Forecast, ForecastError, InputQuality, SimilarDay, TrainedModel},
     },
 };
 
@@ -116,10 +117,10 @@ pub struct ForecastResource {
     label: crate::science::forecast::day::Label,
     /// Calibrated probability of an avalanche day.
     #[schema(minimum = 0, maximum = 1)]
-    probability: f64,
+    pub(super) probability: f64,
     /// What the probability means against the threshold.
     #[schema(value_type = String, example = "avalanche_day")]
-    category: Category,
+    pub(super) category: Category,
     /// From this probability on a day counts as an avalanche day.
     #[schema(minimum = 0, maximum = 1)]
     threshold: f64,
@@ -160,21 +161,54 @@ pub struct SimilarDays {
     /// The model.
     model_id: Uuid,
     /// Most similar first; only days that the machine remembers (its support vectors).
-    similar_days: Vec<SimilarDay>,
+    similar_days: Vec<SimilarDayResource>,
+}
+
+/// A past day that is similar, and what avalanches it had.
+#[derive(Serialize, ToSchema)]
+pub struct SimilarDayResource {
+    /// The day and what it adds.
+    #[serde(flatten)]
+    day: SimilarDay,
+    /// The avalanche record of that day as it is now; null where there is none.
+    avalanches: Option<AvalancheRecord>,
+}
+
+/// Why a forecast says what it says.
+#[derive(Serialize, ToSchema)]
+pub struct ForecastExplanation {
+    /// The station.
+    station: StationId,
+    /// True where the station or the model is made of data from a generator.
+    synthetic: bool,
+    /// The day that is forecast.
+    date: Date,
+    /// Days between the last observation that was used and the day that is forecast.
+    lead: u8,
+    /// The model.
+    model_id: Uuid,
+    /// The decision value, taken apart.
+    #[serde(flatten)]
+    explanation: Explanation,
 }
 
 /// The model that is to speak, and where its words come from.
-struct Speaker {
-    station: Station,
-    lead: u8,
-    id: Uuid,
-    model: Arc<TrainedModel>,
+pub(super) struct Speaker {
+    pub(super) station: Station,
+    pub(super) lead: u8,
+    pub(super) id: Uuid,
+    pub(super) model: Arc<TrainedModel>,
     provenance: Value,
-    synthetic: bool,
+    pub(super) synthetic: bool,
 }
 
 impl Speaker {
-    async fn find(state: &AppState, station: &StationId, lead: Lead, model: Option<Uuid>) -> ApiResult<Self> {
+    pub(super) async fn find(
+        state: &AppState,
+        station: &StationId,
+        lead: Lead,
+        model: Option<Uuid>,
+    ) -> ApiResult<Self> {
         let station = state.station(station).await?;
         let lead = lead.0;
         let id = match model {
@@ -196,13 +230,18 @@ impl Speaker {
     }
 
     /// What the model reads for the forecasts of `first` to `last`: no feature reaches beyond the edge of a season.
-    async fn history(&self, state: &AppState, first: civil::Date, last: civil::Date) -> ApiResult<Vec<DayRecord>> {
+    pub(super) async fn history(
+        &self,
+        state: &AppState,
+        first: civil::Date,
+        last: civil::Date,
+    ) -> ApiResult<Vec<DayRecord>> {
         let base = before(first, self.lead)?;
         let from = civil::Date::new(season_of(base), 7, 1).unwrap_or(base);
         Ok(state.store.day_records(&self.station.id, from, last).await?)
     }
 
-    fn resource(&self, forecast: Forecast) -> ForecastResource {
+    pub(super) fn resource(&self, forecast: Forecast) -> ForecastResource {
         ForecastResource {
             station: self.station.id.clone(),
             synthetic: self.synthetic,
@@ -223,12 +262,13 @@ impl Speaker {
     }
 
     /// The words for a day that cannot be forecast, with the nearest day that may have been meant.
-    async fn refuse(&self, state: &AppState, error: ForecastError) -> ApiResult<Problem> {
+    pub(super) async fn refuse(&self, state: &AppState, error: ForecastError) -> ApiResult<Problem> {
         let ForecastError::NoObservation { date } = error else {
             return Ok(match error {
                 ForecastError::NoBaseDay { .. } => {
                     Problem::field(Code::InvalidParameter, "/date", "out_of_range", error.to_string())
                 }
+                ForecastError::FeatureSetChanged { .. } => Problem::new(Code::ModelOutdated, error.to_string()),
                 error => Problem::internal(error),
             });
         };
@@ -244,7 +284,7 @@ impl Speaker {
         Ok(Problem::new(Code::NoObservation, detail))
     }
 
-    async fn forecast(&self, state: &AppState, date: civil::Date) -> ApiResult<ForecastResource> {
+    pub(super) async fn forecast(&self, state: &AppState, date: civil::Date) -> ApiResult<ForecastResource> {
         let history = self.history(state, date, date).await?;
         match self.model.forecast(&history, date) {
             Ok(forecast) => Ok(self.resource(forecast)),
@@ -324,17 +364,51 @@ pub async fn list_forecasts(
     }
     let history = speaker.history(&state, first, last).await?;
     let model = Arc::clone(&speaker.model);
-    let forecasts: Vec<Forecast> = tokio::task::spawn_blocking(move || {
-        first
-            .series(1.day())
-            .take_while(|date| *date <= last)
-            .filter_map(|date| model.forecast(&history, date).ok())
-            .collect()
+    let forecasts = tokio::task::spawn_blocking(move || {
+        let days = first.series(1.day()).take_while(|date| *date <= last);
+        let forecast = |date| match model.forecast(&history, date) {
+            // a day that cannot be forecast is left out; a model that cannot forecast at all is not
+            Err(ForecastError::NoObservation { .. } | ForecastError::NoBaseDay { .. }) => None,
+            other => Some(other),
+        };
+        days.filter_map(forecast).collect::<Result<Vec<Forecast>, _>>()
     })
     .await
     .map_err(Problem::internal)?;
+    let forecasts = match forecasts {
+        Ok(forecasts) => forecasts,
+        Err(error) => return Err(speaker.refuse(&state, error).await?.into()),
+    };
     let forecasts = forecasts.into_iter().map(|forecast| speaker.resource(forecast)).collect();
     respond::resource(&conditions, &ForecastList { forecasts })
+}
+
+/// Why a forecast says what it says: what each feature adds to the decision value (with the base they add up to it exactly),
+/// which features were imputed and with what, and which are outside of their range in training.
+#[utoipa::path(get, path = "/v1/stations/{station}/forecasts/{date}/explanation", operation_id = "explain_forecast",
+    tag = "forecasts", params(DayPath, ForecastQuery),
+    responses((status = 200, description = "The explanation.", body = ForecastExplanation)))]
+pub async fn explain_forecast(
+    State(state): State<AppState>,
+    Path(path): Path<DayPath>,
+    Query(query): Query<ForecastQuery>,
+    conditions: Conditions,
+) -> ApiResult<Response> {
+    let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
+    let history = speaker.history(&state, path.date.0, path.date.0).await?;
+    let explanation = match speaker.model.explain(&history, path.date.0) {
+        Ok(explanation) => explanation,
+        Err(error) => return Err(speaker.refuse(&state, error).await?.into()),
+    };
+    let answer = ForecastExplanation {
+        station: speaker.station.id.clone(),
+        synthetic: speaker.synthetic,
+        date: path.date,
+        lead: speaker.lead,
+        model_id: speaker.id,
+        explanation,
+    };
+    respond::resource(&conditions, &answer)
 }
 
 /// The past days that are nearest to a forecast in the eyes of its machine: their date, what happened, the kernel value,
@@ -351,10 +425,14 @@ pub async fn list_similar_days(
     let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
     let history = speaker.history(&state, path.date.0, path.date.0).await?;
     let count = Limit::or_default(query.limit) as usize;
-    let similar_days = match speaker.model.similar_days(&history, path.date.0, count) {
+    let days = match speaker.model.similar_days(&history, path.date.0, count) {
         Ok(days) => days,
         Err(error) => return Err(speaker.refuse(&state, error).await?.into()),
     };
+    let dates: Vec<civil::Date> = days.iter().map(|day| day.date).collect();
+    let records = state.store.avalanches_on(&speaker.station.id, &dates).await?;
+    let resource = |day: SimilarDay| SimilarDayResource { avalanches: records.get(&day.date).copied(), day };
+    let similar_days = days.into_iter().map(resource).collect();
     let answer = SimilarDays {
         station: speaker.station.id.clone(),
         synthetic: speaker.synthetic,

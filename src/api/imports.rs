@@ -170,7 +170,8 @@ struct Rows {
     notes: Vec<String>,
 }
 
-/// Records one day or many; a day that is known is replaced, and sending the same again changes nothing. All rows are
+/// Records one day or many; a day that is known is replaced (by a file only in the columns that the file has values of), and
+/// sending the same again changes nothing. All rows are
 /// stored or none, unless `partial=true`.
 ///
 /// JSON (one day or an array of days) and NDJSON are refused where a value is impossible. A file (CSV or the export of a
@@ -363,7 +364,12 @@ async fn store(state: &AppState, station: &Station, rows: Rows, partial: bool, c
     }
     let writes: Vec<DayWrite> = rows.rows.iter().filter_map(|row| Some(row.outcome.as_ref().ok()?.0.clone())).collect();
     let author = Author { name: caller.name, at: clock::now(), source: rows.format };
-    let written = state.store.put_days(&station.id, &writes, &author).await?;
+    // in JSON a day is said whole, one by itself as by PUT; a file has columns, and those that it lacks say nothing
+    let written = match (rows.format, writes.as_slice()) {
+        ("json", [day]) if rows.one => vec![state.store.put_day(&station.id, day, &author, |_| true).await?.1],
+        ("json" | "ndjson", days) => state.store.put_days(&station.id, days, &author).await?,
+        (_, days) => state.store.merge_days(&station.id, days, &author).await?,
+    };
     Ok(Json(report(rows, &written)).into_response())
 }
 

@@ -375,8 +375,16 @@ pub async fn news_of(id: Uuid, changes: &mut broadcast::Receiver<Uuid>) {
 /// children. An ended child is not removed before its parent: 409.
 #[utoipa::path(delete, path = "/v1/jobs/{jobID}", operation_id = "dismiss_job", tag = "jobs", params(JobPath),
     responses((status = 200, description = "Its last status document.", body = StatusInfo)))]
-pub async fn dismiss_job(State(state): State<AppState>, Path(path): Path<JobPath>) -> ApiResult<Response> {
+pub async fn dismiss_job(
+    State(state): State<AppState>,
+    Path(path): Path<JobPath>,
+    conditions: Conditions,
+) -> ApiResult<Response> {
     let job = find(&state, path.job_id).await?;
+    let tag = respond::tag_of(&StatusInfo::from(job.clone()))?;
+    if !conditions.permit_write(tag.to_str().ok()) {
+        return Err(StoreError::Precondition.into());
+    }
     match state.desk.dismiss(job.id).await {
         Ok(()) => Ok(Json(StatusInfo::from(find(&state, path.job_id).await?)).into_response()),
         Err(StoreError::Transition(_)) => match state.desk.remove(job.id).await {

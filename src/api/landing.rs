@@ -22,7 +22,12 @@ pub struct Link {
 impl Link {
     /// A link to a JSON document.
     pub fn json(href: impl Into<String>, rel: &'static str, title: &'static str) -> Self {
-        Self { href: href.into(), rel, r#type: "application/json", title }
+        Self::new(href, rel, "application/json", title)
+    }
+
+    /// A link to anything.
+    pub fn new(href: impl Into<String>, rel: &'static str, media_type: &'static str, title: &'static str) -> Self {
+        Self { href: href.into(), rel, r#type: media_type, title }
     }
 }
 
@@ -48,10 +53,11 @@ pub struct Conformance {
 }
 
 /// The conformance classes of OGC API - Processes Part 1, version 1.0, that are kept in full.
-const CLASSES: [&str; 4] = [
+const CLASSES: [&str; 5] = [
     "http://www.opengis.net/spec/ogcapi-processes-1/1.0/conf/core",
     "http://www.opengis.net/spec/ogcapi-processes-1/1.0/conf/json",
     "http://www.opengis.net/spec/ogcapi-processes-1/1.0/conf/ogc-process-description",
+    "http://www.opengis.net/spec/ogcapi-processes-1/1.0/conf/job-list",
     "http://www.opengis.net/spec/ogcapi-processes-1/1.0/conf/dismiss",
 ];
 

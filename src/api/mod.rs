@@ -2,12 +2,15 @@
 
 pub mod auth;
 mod avalanches;
+mod dataset_hits;
+mod datasets;
 mod docs;
 pub(crate) mod extract;
 mod feature_sets;
 mod forecasts;
 mod health;
 mod imports;
+mod issued;
 mod job_frames;
 mod job_history;
 mod job_results;
@@ -22,11 +25,16 @@ mod processes;
 mod respond;
 mod router;
 mod scenarios;
+mod selections;
+mod spool;
 pub(crate) mod stations;
+mod verification;
+mod what_if;
 
 use std::sync::Arc;
 
 pub use router::{document, router};
+pub use spool::sweep;
 
 use crate::{
     config::Config,
@@ -46,6 +54,8 @@ pub struct AppState {
     pub metrics: metrics::Metrics,
     /// The settings in force.
     pub config: Arc<Config>,
+    /// Turns of reading files of acoustic emission.
+    pub intake: Arc<tokio::sync::Semaphore>,
     /// Cancelled once the service takes no new work.
     pub stopping: tokio_util::sync::CancellationToken,
 }

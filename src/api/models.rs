@@ -35,7 +35,7 @@ use crate::{
 #[serde(deny_unknown_fields)]
 pub struct ModelPath {
     /// Id of the model.
-    model: Uuid,
+    pub model: Uuid,
 }
 
 /// Which models.
@@ -64,7 +64,7 @@ pub struct LeadQuery {
     /// Days between the last observation and the day that is forecast: 0 or 1.
     #[serde(default)]
     #[param(value_type = Option<u8>, minimum = 0, maximum = 1, default = 0)]
-    lead: Lead,
+    pub lead: Lead,
 }
 
 /// A trained model; it never changes.
@@ -171,11 +171,16 @@ impl From<ModelRecord> for ModelResource {
             lead: record.lead,
             job: record.job,
             created: record.created,
-            links: vec![
-                Link::json(at.clone(), "self", "this document"),
-                Link::json(format!("{at}/evaluation"), "evaluation", "its scores beside those of other models"),
-                Link::json(format!("{at}/features"), "features", "its features"),
-            ],
+            links: {
+                let mut links = vec![
+                    Link::json(at.clone(), "self", "this document"),
+                    Link::json(format!("{at}/evaluation"), "evaluation", "its scores beside those of other models"),
+                    Link::json(format!("{at}/features"), "features", "its features"),
+                ];
+                let selection = || Link::json(format!("{at}/selection"), "selection", "how its features were chosen");
+                links.extend(record.selection.is_some().then(selection));
+                links
+            },
         }
     }
 }
@@ -200,7 +205,7 @@ fn tag(activation: &Activation) -> String {
     format!("\"{}\"", activation.sequence)
 }
 
-async fn find(state: &AppState, id: Uuid) -> ApiResult<ModelRecord> {
+pub async fn find(state: &AppState, id: Uuid) -> ApiResult<ModelRecord> {
     let model = state.store.model(id).await?;
     model.ok_or_else(|| unknown(id).into())
 }
@@ -276,7 +281,8 @@ pub async fn get_features(
 ) -> ApiResult<Response> {
     let record = find(&state, path.model).await?;
     let model = state.store.trained_model(record.id).await?.ok_or_else(|| unknown(path.model))?;
-    let set = FeatureSetResource::from(&FeatureSet::new(model.feature_set, &model.reported));
+    let all = FeatureSet::new(model.feature_set, &model.reported);
+    let set = FeatureSetResource::from(&all.only(&model.features).map_err(Problem::internal)?);
     respond::resource(&conditions, &ModelFeatures { model_id: record.id, synthetic: is_synthetic(&record), set })
 }
 

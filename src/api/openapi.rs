@@ -34,6 +34,7 @@ use crate::domain::problem::FieldError;
         (name = "observations", description = "Days of weather and snowpack, and their avalanches."),
         (name = "forecasts", description = "What the active model says of a day."),
         (name = "models", description = "Trained models, their evaluation and features."),
+        (name = "datasets", description = "Catalogues of acoustic emission."),
         (name = "processes", description = "What can be executed as a job (OGC API - Processes Part 1)."),
         (name = "jobs", description = "Executions of processes."),
         (name = "service", description = "The service itself."),
@@ -125,8 +126,11 @@ const REFUSALS: [(&str, &str); 15] = [
 /// What an operation can answer beyond what its method, path and body bring with them.
 fn further_refusals(operation_id: Option<&str>) -> &'static [&'static str] {
     match operation_id {
-        Some("execute_process" | "dismiss_job") => &["409"],
-        Some("list_observations") => &["406"],
+        Some("dismiss_job") => &["409", "412"],
+        Some("execute_process" | "put_forecaster_call") => &["409"],
+        Some("issue_forecast") => &["409", "422"],
+        Some("list_observations" | "list_hits" | "get_dataset_picture" | "get_model_selection") => &["406"],
+        Some("delete_dataset") => &["412"],
         Some("get_job_frame") => &["406", "422"],
         Some("get_job_output") => &["416", "422"],
         Some(
@@ -135,7 +139,8 @@ fn further_refusals(operation_id: Option<&str>) -> &'static [&'static str] {
             | "list_forecasts"
             | "get_latest_forecast"
             | "get_forecast"
-            | "list_similar_days",
+            | "list_similar_days"
+            | "explain_forecast",
         ) => &["422"],
         _ => &[],
     }

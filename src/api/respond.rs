@@ -19,6 +19,14 @@ pub fn resource<T: Serialize>(conditions: &Conditions, value: &T) -> ApiResult<R
     Ok(tagged_bytes(conditions, StatusCode::OK, tag, "application/json", body))
 }
 
+/// The entity tag that [`resource`] gives `value`.
+///
+/// # Errors
+/// A [`Problem`] where it cannot be written as JSON.
+pub fn tag_of<T: Serialize>(value: &T) -> ApiResult<HeaderValue> {
+    Ok(etag(&serde_json::to_vec(value).map_err(Problem::internal)?))
+}
+
 /// The same with the entity tag that writes are checked against.
 pub fn tagged<T: Serialize>(conditions: &Conditions, status: StatusCode, tag: &str, value: &T) -> ApiResult<Response> {
     let body = serde_json::to_vec(value).map_err(Problem::internal)?;

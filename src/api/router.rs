@@ -5,8 +5,8 @@ use std::time::Duration;
 use axum::{
     BoxError, Router,
     error_handling::HandleErrorLayer,
-    extract::{DefaultBodyLimit, Request},
-    http::{Extensions, HeaderMap, HeaderName, HeaderValue, StatusCode, Version},
+    extract::{DefaultBodyLimit, Request, State},
+    http::{Extensions, HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version},
     middleware::{self, Next},
     response::{IntoResponse, Response},
 };
@@ -22,13 +22,13 @@ use utoipa::OpenApi;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    AppState, auth, avalanches, docs,
+    AppState, auth, avalanches, dataset_hits, datasets, docs,
     extract::BodyLimit,
-    feature_sets, forecasts, health, imports, job_frames, job_history,
+    feature_sets, forecasts, health, imports, issued, job_frames, job_history,
     job_results::{self, REPR_DIGEST},
     jobs, landing, metrics, models, observations, openapi,
     problem::{ApiError, REQUEST_ID, from_panic},
-    processes, scenarios, stations,
+    processes, scenarios, selections, stations, verification, what_if,
 };
 use crate::domain::{
     ids::new_id,
@@ -44,13 +44,13 @@ const LONGEST_REQUEST_ID: usize = 128;
 fn vital_signs() -> OpenApiRouter<AppState> {
     OpenApiRouter::with_openapi(openapi::Document::openapi())
         .routes(routes!(health::livez))
+        .routes(routes!(health::readyz))
         .routes(routes!(metrics::metrics))
 }
 
 fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         // the service itself
-        .routes(routes!(health::readyz))
         .routes(routes!(docs::openapi_json))
         .routes(routes!(docs::list_problems))
         .routes(routes!(docs::get_problem))
@@ -79,6 +79,11 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(observations::list_revisions))
         .routes(routes!(avalanches::get_avalanches, avalanches::put_avalanches))
         .routes(routes!(avalanches::list_revisions))
+        // acoustic emission
+        .routes(routes!(datasets::list_datasets, datasets::create_dataset))
+        .routes(routes!(datasets::get_dataset, datasets::put_dataset, datasets::delete_dataset))
+        .routes(routes!(dataset_hits::list_hits))
+        .routes(routes!(dataset_hits::get_picture))
         // models and forecasts
         .routes(routes!(feature_sets::list_feature_sets))
         .routes(routes!(feature_sets::get_feature_set))
@@ -86,11 +91,17 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(models::get_model))
         .routes(routes!(models::get_evaluation))
         .routes(routes!(models::get_features))
+        .routes(routes!(selections::get_selection))
         .routes(routes!(models::get_active_model, models::put_active_model))
         .routes(routes!(forecasts::list_forecasts))
         .routes(routes!(forecasts::get_latest_forecast))
-        .routes(routes!(forecasts::get_forecast))
+        .routes(routes!(forecasts::get_forecast, issued::issue_forecast))
         .routes(routes!(forecasts::list_similar_days))
+        .routes(routes!(forecasts::explain_forecast))
+        .routes(routes!(what_if::ask_what_if))
+        .routes(routes!(issued::get_issued_forecast))
+        .routes(routes!(issued::put_forecaster_call))
+        .routes(routes!(verification::verify_forecasts))
 }
 
 /// The contract of all addresses, before [`openapi`] completes it.
@@ -108,8 +119,7 @@ pub fn router(state: AppState) -> Router {
         .layer(HandleErrorLayer::new(limit_reached))
         .load_shed()
         // one count for all addresses: a plain limit would count each of them by itself
-        .layer(GlobalConcurrencyLimitLayer::new(state.config.max_requests))
-        .timeout(state.config.request_timeout.max(Duration::from_secs(1)));
+        .layer(GlobalConcurrencyLimitLayer::new(state.config.max_requests));
     router
         .fallback(not_found)
         .method_not_allowed_fallback(method_not_allowed)
@@ -117,6 +127,7 @@ pub fn router(state: AppState) -> Router {
         .layer(CsrfLayer::new().with_rejection_response(cross_origin))
         .layer(DefaultBodyLimit::max(state.config.max_body_bytes))
         .layer(axum::Extension(BodyLimit(state.config.max_body_bytes)))
+        .layer(middleware::from_fn_with_state(state.clone(), in_time))
         .layer(limits)
         .merge(vital_signs.method_not_allowed_fallback(method_not_allowed))
         .layer(CatchPanicLayer::custom(from_panic))
@@ -172,10 +183,22 @@ fn log_response(response: &Response, latency: Duration, _: &tracing::Span) {
     tracing::info!(status = response.status().as_u16(), latency_ms, "answered");
 }
 
+/// Gives up what is not answered in time; an upload has longer, as it is as long as its file.
+async fn in_time(State(state): State<AppState>, request: Request, next: Next) -> Response {
+    let uploads = request.method() == Method::POST && request.uri().path() == "/v1/datasets";
+    let config = &state.config;
+    let time = if uploads { config.upload_timeout } else { config.request_timeout };
+    match tokio::time::timeout(time.max(Duration::from_secs(1)), next.run(request)).await {
+        Ok(response) => response,
+        Err(_) => {
+            let detail = "the request was not answered in time; send large data in parts";
+            ApiError(Problem::new(Code::RequestTimeout, detail)).into_response()
+        }
+    }
+}
+
 async fn limit_reached(error: BoxError) -> Response {
-    let problem = if error.is::<tower::timeout::error::Elapsed>() {
-        Problem::new(Code::RequestTimeout, "the request was not answered in time; send large data in parts")
-    } else if error.is::<tower::load_shed::error::Overloaded>() {
+    let problem = if error.is::<tower::load_shed::error::Overloaded>() {
         Problem::new(Code::Overloaded, "too many requests are being worked on")
     } else {
         Problem::internal(error)

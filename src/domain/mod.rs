@@ -1,6 +1,7 @@
 //! The words of the service: what a station, an observation, a job and a problem are. No I/O.
 
 pub mod avalanche;
+pub mod dataset;
 pub mod date;
 pub mod ids;
 pub mod job;

@@ -62,8 +62,14 @@ codes! {
     NoObservation "no-observation" 404 "There is no observation of that day" "Nothing was recorded for the day that was asked for.";
     NoAvalancheRecord "no-avalanche-record" 404 "There is no avalanche record of that day" "Nobody recorded the avalanche activity of that day. That is not the same as none.";
     NoActiveModel "no-active-model" 404 "The station has no active model" "Train one with `POST /v1/processes/train-model/execution`; a station's first model becomes active by itself.";
+    ModelOutdated "model-outdated" 404 "The active model can no longer forecast" "The model was trained with features that have changed since. Train it again with `POST /v1/processes/train-model/execution`.";
     UnknownModel "unknown-model" 404 "No such model" "The model id is not known. `GET /v1/models` lists the models.";
+    NotIssued "not-issued" 404 "No forecast of that day was issued" "A forecast is issued with `PUT /v1/stations/{station}/forecasts/{date}`; what the model would say now is at the same address with GET.";
+    ForecastFrozen "forecast-frozen" 409 "What was issued stays as it is" "A forecast that was issued, and a call of a day that has ended, are what the verification judges: neither can be changed afterwards.";
+    NoSelection "no-selection" 404 "The model has no selection of features" "The model was trained without the input `selection`, so there is no curve of its features. Run `select-features` and train with its job id.";
     UnknownFeatureSet "unknown-feature-set" 404 "No such feature set" "`GET /v1/feature-sets` lists the feature sets.";
+    UnknownDataset "unknown-dataset" 404 "No such data set" "The id of the data set is not known, or it was removed. `GET /v1/datasets` lists the data sets.";
+    DatasetRefused "dataset-refused" 422 "The data set was refused" "The file was read but is no good data set: the unit of the amplitudes is not known, a value cannot be, or nothing in it is known. `errors` names the column and the line or row. Nothing was stored.";
     NoSuchProcess "no-such-process" 404 "No such process" "`GET /v1/processes` lists the processes.";
     NoSuchJob "no-such-job" 404 "No such job" "The job id is not known, or the finished job was removed.";
     ResultNotReady "result-not-ready" 404 "The results are not ready" "The job has not ended yet. Poll its status document until `status` is `successful`.";

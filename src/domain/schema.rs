@@ -11,25 +11,70 @@ use std::{
 
 use jsonschema::{ValidationError, Validator, error::ValidationErrorKind};
 use serde::de::DeserializeOwned;
-use serde_json::{Value, json};
+use serde_json::Value;
 use utoipa::{PartialSchema, ToSchema};
 
 use super::problem::FieldError;
 
-/// The self-contained JSON Schema of `T`, its parts below `components` where its references point.
+/// The JSON Schema of `T`, without references: whatever part of it is published alone can be read alone.
 #[must_use]
 pub fn schema_of<T: ToSchema>() -> Value {
     let mut parts = Vec::new();
     T::schemas(&mut parts);
-    let mut schema = serde_json::to_value(<T as PartialSchema>::schema()).unwrap_or(Value::Null);
-    if let (Some(object), false) = (schema.as_object_mut(), parts.is_empty()) {
-        let parts: serde_json::Map<String, Value> = parts
-            .into_iter()
-            .filter_map(|(name, part)| serde_json::to_value(part).ok().map(|part| (name, part)))
-            .collect();
-        object.insert("components".into(), json!({ "schemas": parts }));
+    let parts: Parts =
+        parts.into_iter().filter_map(|(name, part)| serde_json::to_value(part).ok().map(|part| (name, part))).collect();
+    let schema = serde_json::to_value(<T as PartialSchema>::schema()).unwrap_or(Value::Null);
+    resolved(schema, &parts, 0)
+}
+
+/// Schemas by the names that references call them by.
+type Parts = HashMap<String, Value>;
+
+/// `schema` with its references replaced by what they name, and parts that must all hold (`allOf`) joined into one object:
+/// each of them by itself would forbid the fields of the others.
+fn resolved(schema: Value, parts: &Parts, depth: usize) -> Value {
+    // no type of ours holds itself
+    const DEEPEST: usize = 64;
+    match schema {
+        Value::Array(items) if depth < DEEPEST => {
+            items.into_iter().map(|item| resolved(item, parts, depth + 1)).collect()
+        }
+        Value::Object(mut members) if depth < DEEPEST => {
+            if let Some(Value::String(reference)) = members.remove("$ref") {
+                let name = reference.rsplit('/').next().unwrap_or_default();
+                if let Some(Value::Object(part)) = parts.get(name) {
+                    // what is said beside a reference is said of this field
+                    let mut whole = part.clone();
+                    whole.extend(members);
+                    return resolved(Value::Object(whole), parts, depth + 1);
+                }
+            }
+            let branches = members.remove("allOf").and_then(|all| all.as_array().cloned()).unwrap_or_default();
+            let mut whole: serde_json::Map<String, Value> =
+                members.into_iter().map(|(name, value)| (name, resolved(value, parts, depth + 1))).collect();
+            for branch in branches {
+                if let Value::Object(branch) = resolved(branch, parts, depth + 1) {
+                    join(&mut whole, branch);
+                }
+            }
+            Value::Object(whole)
+        }
+        other => other,
     }
-    schema
+}
+
+fn join(whole: &mut serde_json::Map<String, Value>, branch: serde_json::Map<String, Value>) {
+    for (name, value) in branch {
+        match (whole.get_mut(&name), value) {
+            (Some(Value::Object(there)), Value::Object(more)) => there.extend(more),
+            (Some(Value::Array(there)), Value::Array(more)) => there.extend(more),
+            // the first description is that of the field itself
+            (Some(_), _) => {}
+            (None, value) => {
+                whole.insert(name, value);
+            }
+        }
+    }
 }
 
 struct Explainer {
@@ -59,15 +104,18 @@ pub fn read<T: DeserializeOwned + ToSchema + 'static>(value: &Value, prefix: &st
     serde_path_to_error::deserialize(value).map_err(|error| explain::<T>(value, &error, prefix))
 }
 
-/// Every field of `value` at fault by the schema of `T`; the reader's own words where the schema finds nothing.
+/// Faults of one document that are named; whoever mends these learns of more.
+const MOST_FAULTS: usize = 20;
+
+/// The fields of `value` at fault by the schema of `T`; the reader's own words where the schema finds nothing.
 pub fn explain<T: ToSchema + 'static>(
     value: &Value,
     error: &serde_path_to_error::Error<serde_json::Error>,
     prefix: &str,
 ) -> Vec<FieldError> {
     let mut faults = explainer::<T>().map_or_else(Vec::new, |explainer| {
-        let errors = explainer.validator.iter_errors(value).take(50);
-        errors.flat_map(|error| explainer.faults(&error, prefix)).collect()
+        let errors = explainer.validator.iter_errors(value).take(MOST_FAULTS);
+        errors.flat_map(|error| explainer.faults(&error, prefix)).take(MOST_FAULTS).collect()
     });
     if faults.is_empty() {
         faults.push(reader_fault(error, prefix));
@@ -111,11 +159,15 @@ impl Explainer {
             }
             ValidationErrorKind::AdditionalProperties { unexpected } => {
                 let known = self.known_properties(error);
-                let fault = |name: &String| {
-                    let detail = format!("is not a field here; accepted: {known}");
-                    FieldError::new(format!("{at}/{}", escape(name)), "unknown_field", detail)
+                // the list once: a body of nothing but unknown fields must not come back many times as large
+                let fault = |(place, name): (usize, &String)| {
+                    let detail = match place {
+                        0 => format!("is not a field here; accepted: {known}"),
+                        _ => "is not a field here either".to_owned(),
+                    };
+                    FieldError::new(format!("{at}/{}", escape(&short(name.clone()))), "unknown_field", detail)
                 };
-                unexpected.iter().map(fault).collect()
+                unexpected.iter().take(MOST_FAULTS).enumerate().map(fault).collect()
             }
             ValidationErrorKind::Required { property } => {
                 let name = property.as_str().unwrap_or_default();
@@ -149,7 +201,7 @@ impl Explainer {
         };
         let meant: Vec<_> = context.iter().filter(|branch| !wants_null(branch)).collect();
         match meant.as_slice() {
-            [branch] => branch.iter().flat_map(|error| self.faults(error, prefix)).collect(),
+            [branch] => branch.iter().flat_map(|error| self.faults(error, prefix)).take(MOST_FAULTS).collect(),
             _ => vec![FieldError::new(at, "no_alternative", short(error.to_string()))],
         }
     }
@@ -160,9 +212,7 @@ impl Explainer {
         let segments: Vec<&str> = path.split('/').skip(1).collect();
         let mut node = &self.schema;
         for segment in segments.iter().take(segments.len().saturating_sub(up)) {
-            node = if *segment == "$ref" {
-                self.schema.pointer(node.get("$ref")?.as_str()?.strip_prefix('#')?)?
-            } else if let Ok(index) = segment.parse::<usize>() {
+            node = if let Ok(index) = segment.parse::<usize>() {
                 node.get(index).or_else(|| node.get(segment))?
             } else {
                 node.get(segment.replace("~1", "/").replace("~0", "~"))?
@@ -225,6 +275,8 @@ fn code(kind: &ValidationErrorKind) -> &'static str {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::*;
     use crate::domain::{observation::DatedObservation, station::StationBody};
 

@@ -5,12 +5,15 @@
 //! and only a file that cannot be understood as a whole is a [`FormatError`].
 
 mod csv_source;
+pub mod emission;
+pub mod figures;
 pub mod film;
 pub mod json;
 pub mod ndjson;
 pub mod observations_csv;
 mod report;
 pub mod sais;
+pub mod selection_svg;
 mod text;
 
 pub use report::{

@@ -90,9 +90,11 @@ async fn issue_lost(desk: &Desk, ticketed_before: Timestamp) -> Result<(), Store
 
 async fn issue_again(desk: &Desk, ticketed_before: Timestamp) -> Result<(), StoreError> {
     let jobs = desk.store().jobs_without_ticket(ticketed_before, clock::now(), MOST_TICKETS).await?;
-    desk.ticket(&jobs).await;
+    // marked first: where the engine does not take them, that is noted after
     let ids: Vec<_> = jobs.iter().map(|(id, ..)| *id).collect();
-    desk.store().mark_ticketed(&ids, clock::now()).await
+    desk.store().mark_ticketed(&ids, clock::now()).await?;
+    desk.ticket(&jobs).await;
+    Ok(())
 }
 
 async fn retire(desk: &Desk, keep: Keep) -> Result<(), StoreError> {

@@ -10,6 +10,7 @@ pub mod caretaker;
 pub mod control;
 pub mod desk;
 pub mod engine;
+pub mod intake;
 pub mod link;
 pub mod nats_link;
 pub mod processes;

@@ -129,8 +129,9 @@ impl NatsLink {
     }
 
     async fn exchange(&self, envelope: &Envelope) -> Result<Envelope, LinkError> {
-        let request = self.client.request(DESK, pack(envelope)?.into());
-        let answer = tokio::time::timeout(PATIENCE, request).await.map_err(broken)?.map_err(broken)?;
+        // with its own patience: that of the connection is shorter than a slow store of artifacts may take
+        let request = async_nats::Request::new().payload(pack(envelope)?.into()).timeout(Some(PATIENCE));
+        let answer = self.client.send_request(DESK, request).await.map_err(broken)?;
         unpack(&answer.payload)
     }
 

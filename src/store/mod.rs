@@ -1,11 +1,16 @@
 //! All SQL. SQLite in WAL mode is the truth: one writer connection, several readers, every write a transaction that is
 //! on disk before anybody is told of it.
 
+pub mod datasets;
+mod day_batch;
+pub mod issued;
 pub mod jobs;
 pub mod keys;
 pub mod models;
 pub mod observations;
+pub mod selections;
 pub mod stations;
+pub mod vallen;
 
 use std::{
     fs::{File, TryLockError},
@@ -174,7 +179,17 @@ pub fn lock(data_dir: &Path) -> Result<File> {
 }
 
 fn create_directory(path: &Path) -> Result<()> {
-    std::fs::create_dir_all(path).map_err(at(path))
+    if path.is_dir() {
+        return Ok(());
+    }
+    std::fs::create_dir_all(path).map_err(at(path))?;
+    // a folder that we make holds hashes of keys and nobody else's business; one that is there is as its owner wants it
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o700)).map_err(at(path))?;
+    }
+    Ok(())
 }
 
 fn at(path: &Path) -> impl Fn(std::io::Error) -> StoreError {

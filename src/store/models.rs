@@ -21,6 +21,8 @@ pub struct ModelRecord {
     pub job: Uuid,
     /// Days between the last observation and the day that is forecast.
     pub lead: u8,
+    /// The job of the feature elimination that it was trained with, if it was.
+    pub selection: Option<Uuid>,
     /// What `GET /v1/models/{id}` says of it, apart from the fields above.
     pub summary: serde_json::Value,
     /// When it was made.
@@ -72,6 +74,10 @@ fn read_model(row: &SqliteRow) -> Result<ModelRecord> {
         station: row.try_get::<String, _>("station")?.parse().map_err(StoreError::corrupt)?,
         job: row.try_get::<String, _>("job")?.parse().map_err(StoreError::corrupt)?,
         lead: row.try_get("lead")?,
+        selection: row
+            .try_get::<Option<String>, _>("selection")?
+            .map(|job| job.parse().map_err(StoreError::corrupt))
+            .transpose()?,
         summary: from_json(row.try_get("summary")?)?,
         created: parse_timestamp(row.try_get("created")?)?,
     })
@@ -113,13 +119,14 @@ const ACTIVE: &str = "SELECT * FROM activation WHERE station = ? AND lead = ? OR
 pub(super) async fn insert(tx: &mut Transaction<'_, Sqlite>, model: &NewModel, now: Timestamp) -> Result<bool> {
     let record = &model.record;
     sqlx::query(
-        "INSERT INTO model (id, station, job, lead, summary, machine, evaluation, created)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+        "INSERT INTO model (id, station, job, lead, selection, summary, machine, evaluation, created)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
     )
     .bind(record.id.to_string())
     .bind(record.station.as_str())
     .bind(record.job.to_string())
     .bind(record.lead)
+    .bind(record.selection.map(|job| job.to_string()))
     .bind(to_json(&record.summary)?)
     .bind(&model.machine)
     .bind(&model.evaluation)
@@ -141,11 +148,12 @@ impl Store {
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
     pub async fn model(&self, id: Uuid) -> Result<Option<ModelRecord>> {
-        let row =
-            sqlx::query_as::<_, ModelRow>("SELECT id, station, job, lead, summary, created FROM model WHERE id = ?")
-                .bind(id.to_string())
-                .fetch_optional(&self.reader)
-                .await?;
+        let row = sqlx::query_as::<_, ModelRow>(
+            "SELECT id, station, job, lead, selection, summary, created FROM model WHERE id = ?",
+        )
+        .bind(id.to_string())
+        .fetch_optional(&self.reader)
+        .await?;
         Ok(row.map(|row| row.0))
     }
 
@@ -160,7 +168,7 @@ impl Store {
         limit: u32,
     ) -> Result<Vec<ModelRecord>> {
         let rows = sqlx::query_as::<_, ModelRow>(
-            "SELECT id, station, job, lead, summary, created FROM model
+            "SELECT id, station, job, lead, selection, summary, created FROM model
              WHERE (?1 IS NULL OR station = ?1) AND (?2 IS NULL OR id < ?2) ORDER BY id DESC LIMIT ?3",
         )
         .bind(station.map(StationId::as_str))

@@ -1,20 +1,15 @@
 //! Days: what was observed, what avalanches were recorded, and every state that either ever had.
 
-use std::{collections::HashMap, fmt::Write as _, sync::LazyLock};
+use std::collections::HashMap;
 
 use firn_science::forecast::day::{Activity, DayRecord, VARIABLES, Variable};
 use jiff::{Timestamp, civil::Date};
-use sqlx::{
-    AssertSqlSafe, FromRow, Row, Sqlite, SqliteConnection, Transaction, query::Query, sqlite::SqliteArguments,
-    sqlite::SqliteRow,
-};
+use sqlx::{AssertSqlSafe, FromRow, Row, SqliteConnection, sqlite::SqliteRow};
 
-use super::{Result, Store, StoreError, from_json, parse_date, parse_timestamp, stations::Written, to_json};
-use crate::domain::{
-    avalanche::{AvalancheRecord, activity_name},
-    ids::StationId,
-    observation::Observation,
+use super::{
+    Result, Store, StoreError, day_batch::DayBatch, from_json, parse_date, parse_timestamp, stations::Written, to_json,
 };
+use crate::domain::{avalanche::AvalancheRecord, ids::StationId};
 
 /// Values of a day in the order of [`Variable::ALL`].
 pub type Values = [Option<f64>; VARIABLES];
@@ -201,102 +196,10 @@ fn merge(values: Vec<ValuesRow>, avalanches: Vec<AvalancheRow>) -> Vec<StoredDay
     days
 }
 
-async fn insert_revision<T: serde::Serialize>(
-    tx: &mut Transaction<'_, Sqlite>,
-    table: &'static str,
-    station: &StationId,
-    date: Date,
-    revision: u32,
-    body: &T,
-    author: &Author,
-) -> Result<()> {
-    let sql = format!(
-        "INSERT INTO {table} (station, date, revision, body, recorded, recorded_by, source) VALUES (?, ?, ?, ?, ?, ?, ?)"
-    );
-    sqlx::query(AssertSqlSafe(sql))
-        .bind(station.as_str())
-        .bind(date.to_string())
-        .bind(revision)
-        .bind(to_json(body)?)
-        .bind(author.at.to_string())
-        .bind(author.name.as_deref())
-        .bind(author.source)
-        .execute(&mut **tx)
-        .await?;
-    Ok(())
-}
-
-/// `INSERT OR REPLACE` over every variable, written once from the list of variables.
-static UPSERT_VALUES: LazyLock<String> = LazyLock::new(|| {
-    let mut sql = String::from("INSERT OR REPLACE INTO observation (station, date");
-    for variable in Variable::ALL {
-        // writing to a String cannot fail
-        let _ = write!(sql, ", {}", variable.name());
-    }
-    sql.push_str(", revision, updated) VALUES (?, ?");
-    sql.push_str(&", ?".repeat(VARIABLES + 2));
-    sql.push(')');
-    sql
-});
-
 /// The condition that a row has a value of one of `variables`, whose names are ours and not a caller's.
 fn any_of(variables: &[Variable]) -> String {
     let names: Vec<String> = variables.iter().map(|variable| format!("{} IS NOT NULL", variable.name())).collect();
     if names.is_empty() { "0".into() } else { format!("({})", names.join(" OR ")) }
-}
-
-fn bind_values<'q>(query: Query<'q, Sqlite, SqliteArguments>, values: &Values) -> Query<'q, Sqlite, SqliteArguments> {
-    values.iter().fold(query, |query, value| query.bind(*value))
-}
-
-async fn write_values(
-    tx: &mut Transaction<'_, Sqlite>,
-    station: &StationId,
-    date: Date,
-    before: Option<&Revised<Values>>,
-    values: &Values,
-    author: &Author,
-) -> Result<Written> {
-    if before.is_some_and(|before| before.value == *values) {
-        return Ok(Written::Unchanged);
-    }
-    let revision = before.map_or(0, |before| before.revision) + 1;
-    let query = sqlx::query(AssertSqlSafe(UPSERT_VALUES.as_str())).bind(station.as_str()).bind(date.to_string());
-    bind_values(query, values).bind(revision).bind(author.at.to_string()).execute(&mut **tx).await?;
-    let body = Observation::from_values(values, None).map_err(StoreError::corrupt)?;
-    insert_revision(tx, "observation_revision", station, date, revision, &body, author).await?;
-    Ok(if before.is_some() { Written::Updated } else { Written::Created })
-}
-
-async fn write_avalanche(
-    tx: &mut Transaction<'_, Sqlite>,
-    station: &StationId,
-    date: Date,
-    before: Option<&Revised<AvalancheRecord>>,
-    record: &AvalancheRecord,
-    author: &Author,
-) -> Result<Written> {
-    if before.is_some_and(|before| before.value == *record) {
-        return Ok(Written::Unchanged);
-    }
-    let revision = before.map_or(0, |before| before.revision) + 1;
-    sqlx::query(
-        r#"INSERT OR REPLACE INTO avalanche (station, date, activity, count, type, "trigger", size, revision, updated)
-           VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"#,
-    )
-    .bind(station.as_str())
-    .bind(date.to_string())
-    .bind(activity_name(record.activity))
-    .bind(record.count.map(|count| count.get()))
-    .bind(record.r#type.map(|kind| kind.name()))
-    .bind(record.trigger.map(|trigger| trigger.name()))
-    .bind(record.size.map(f64::from))
-    .bind(revision)
-    .bind(author.at.to_string())
-    .execute(&mut **tx)
-    .await?;
-    insert_revision(tx, "avalanche_revision", station, date, revision, record, author).await?;
-    Ok(if before.is_some() { Written::Updated } else { Written::Created })
 }
 
 /// Of a day of an import, what may replace what is known: a table of avalanches alone must not wipe out the weather, nor
@@ -314,28 +217,27 @@ fn without_loss(before: Option<&StoredDay>, day: &DayWrite) -> DayWrite {
     day
 }
 
-async fn write_day(
-    tx: &mut Transaction<'_, Sqlite>,
-    station: &StationId,
-    before: Option<&StoredDay>,
-    day: &DayWrite,
-    author: &Author,
-) -> Result<Written> {
-    let mut outcomes = Vec::with_capacity(2);
-    if let Some(values) = &day.values {
-        let before = before.and_then(|before| before.values.as_ref());
-        outcomes.push(write_values(tx, station, day.date, before, values, author).await?);
+/// What a file says of a day, with what is known of variables that no row of the file has: a table of snow heights alone
+/// must not wipe out the wind.
+fn with_unsaid(before: Option<&StoredDay>, mut day: DayWrite, said: &[bool; VARIABLES]) -> DayWrite {
+    let known = before.and_then(|before| before.values.as_ref());
+    if let (Some(values), Some(known)) = (&mut day.values, known) {
+        for ((value, known), said) in values.iter_mut().zip(known.value).zip(said) {
+            if !said {
+                *value = known;
+            }
+        }
     }
-    if let Some(record) = &day.avalanche {
-        let before = before.and_then(|before| before.avalanche.as_ref());
-        outcomes.push(write_avalanche(tx, station, day.date, before, record, author).await?);
+    day
+}
+
+/// Which variables at least one of the days has.
+fn said(days: &[DayWrite]) -> [bool; VARIABLES] {
+    let mut said = [false; VARIABLES];
+    for values in days.iter().filter_map(|day| day.values.as_ref()) {
+        said.iter_mut().zip(values).for_each(|(said, value)| *said |= value.is_some());
     }
-    let changed = outcomes.iter().any(|outcome| *outcome != Written::Unchanged);
-    Ok(match (before.is_some(), changed) {
-        (false, _) => Written::Created,
-        (true, true) => Written::Updated,
-        (true, false) => Written::Unchanged,
-    })
+    said
 }
 
 impl Store {
@@ -345,18 +247,38 @@ impl Store {
     /// # Errors
     /// [`StoreError::Sql`]: then nothing was written.
     pub async fn put_days(&self, station: &StationId, days: &[DayWrite], author: &Author) -> Result<Vec<Written>> {
+        self.write_days(station, days, author, &[true; VARIABLES]).await
+    }
+
+    /// As [`Store::put_days`], for a file with a column a variable: one that no row has a value of stays as it is known.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`]: then nothing was written.
+    pub async fn merge_days(&self, station: &StationId, days: &[DayWrite], author: &Author) -> Result<Vec<Written>> {
+        self.write_days(station, days, author, &said(days)).await
+    }
+
+    async fn write_days(
+        &self,
+        station: &StationId,
+        days: &[DayWrite],
+        author: &Author,
+        said: &[bool; VARIABLES],
+    ) -> Result<Vec<Written>> {
         let (Some(from), Some(to)) = (days.iter().map(|d| d.date).min(), days.iter().map(|d| d.date).max()) else {
             return Ok(Vec::new());
         };
         let mut tx = self.begin().await?;
         let known = select_days(&mut tx, station, from, to, u32::MAX).await?;
         let known: HashMap<Date, StoredDay> = known.into_iter().map(|day| (day.date, day)).collect();
+        let mut batch = DayBatch::new(station, author);
         let mut written = Vec::with_capacity(days.len());
         for day in days {
             let before = known.get(&day.date);
-            let day = without_loss(before, day);
-            written.push(write_day(&mut tx, station, before, &day, author).await?);
+            let day = with_unsaid(before, without_loss(before, day), said);
+            written.push(batch.add(before, &day)?);
         }
+        batch.write(&mut tx).await?;
         tx.commit().await?;
         Ok(written)
     }
@@ -377,7 +299,9 @@ impl Store {
         if !permits(before.as_ref()) {
             return Err(StoreError::Precondition);
         }
-        let written = write_day(&mut tx, station, before.as_ref(), day, author).await?;
+        let mut batch = DayBatch::new(station, author);
+        let written = batch.add(before.as_ref(), day)?;
+        batch.write(&mut tx).await?;
         let after = select_days(&mut tx, station, day.date, day.date, 1).await?.pop();
         tx.commit().await?;
         Ok((after.ok_or(StoreError::Missing)?, written))
@@ -411,6 +335,21 @@ impl Store {
     /// [`StoreError::Sql`] where the database cannot be read.
     pub async fn day_records(&self, station: &StationId, from: Date, to: Date) -> Result<Vec<DayRecord>> {
         Ok(self.days(station, from, to, u32::MAX).await?.iter().map(StoredDay::record).collect())
+    }
+
+    /// The avalanche records of a station on these days; a day without one is not among them.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn avalanches_on(&self, station: &StationId, dates: &[Date]) -> Result<HashMap<Date, AvalancheRecord>> {
+        let dates: Vec<String> = dates.iter().map(Date::to_string).collect();
+        let rows: Vec<AvalancheRow> =
+            sqlx::query_as("SELECT * FROM avalanche WHERE station = ? AND date IN (SELECT value FROM json_each(?))")
+                .bind(station.as_str())
+                .bind(to_json(&dates)?)
+                .fetch_all(&self.reader)
+                .await?;
+        Ok(rows.into_iter().map(|AvalancheRow(date, record)| (date, record.value)).collect())
     }
 
     /// The newest day until `until` that has a value of one of `variables`, if there is any.

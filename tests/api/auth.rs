@@ -117,6 +117,7 @@ fn operations(document: &Value) -> Vec<(Method, String)> {
             .replace("{feature_set}", "expert")
             .replace("{output}", "model_id")
             .replace("{frame}", "0")
+            .replace("{dataset}", "00000000-0000-7000-8000-000000000000")
             .replace("{code}", "not-found");
         assert!(!path.contains('{'), "{path}: give the test a value for its variable part");
         for method in item.as_object().unwrap().keys().filter(|key| !matches!(key.as_str(), "parameters" | "summary")) {

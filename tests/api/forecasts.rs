@@ -135,7 +135,8 @@ async fn similar_days_carry_the_decision() {
     let few = trained.app.read(&format!("{path}?limit=3")).await;
     assert_json_snapshot!(few, {
         ".model_id" => "[id]", ".similar_days[].date" => "[date]", ".similar_days[].label" => "[label]",
-        ".similar_days[].kernel" => "[kernel]", ".similar_days[].contribution" => "[contribution]"
+        ".similar_days[].kernel" => "[kernel]", ".similar_days[].contribution" => "[contribution]",
+        ".similar_days[].avalanches" => "[avalanches]"
     }, @r#"
     {
       "station": "synthetic",
@@ -148,19 +149,22 @@ async fn similar_days_carry_the_decision() {
           "date": "[date]",
           "label": "[label]",
           "kernel": "[kernel]",
-          "contribution": "[contribution]"
+          "contribution": "[contribution]",
+          "avalanches": "[avalanches]"
         },
         {
           "date": "[date]",
           "label": "[label]",
           "kernel": "[kernel]",
-          "contribution": "[contribution]"
+          "contribution": "[contribution]",
+          "avalanches": "[avalanches]"
         },
         {
           "date": "[date]",
           "label": "[label]",
           "kernel": "[kernel]",
-          "contribution": "[contribution]"
+          "contribution": "[contribution]",
+          "avalanches": "[avalanches]"
         }
       ]
     }

@@ -416,3 +416,48 @@ async fn a_table_that_is_no_export_is_refused_whole() {
     refused.problem("malformed-file");
     assert_eq!(app.rows().await, before);
 }
+
+/// A file has columns, and says nothing of the variables that it has none of.
+#[tokio::test]
+async fn a_file_of_some_columns_leaves_the_others_as_they_are() {
+    let app = lochaber().await;
+    let day = format!("{DAYS}/2020-01-02");
+    app.put(&day, &json!({"air_temperature": -5, "wind_speed": 9, "snow_height": 3})).await.json(201);
+    let file = "date,snow_height,wind_speed\n2020-01-02,4,\n2020-01-03,5,\n";
+    let report = send(&app, "text/csv", file).await.json(200);
+    assert_eq!((&report["updated"], &report["created"]), (&json!(1), &json!(1)));
+    assert_eq!(report["not_reported"], json!(["wind_speed"]));
+    let known = app.read(&day).await;
+    let of = |name: &str| known[name].as_f64();
+    assert_eq!((of("air_temperature"), of("wind_speed"), of("snow_height")), (Some(-5.0), Some(9.0), Some(4.0)));
+    // a column that has values speaks for each of its rows
+    let file = "date,wind_speed,snow_height\n2020-01-02,,4\n2020-01-03,7,5\n";
+    send(&app, "text/csv", file).await.json(200);
+    assert_eq!(app.read(&day).await["wind_speed"], Value::Null);
+    assert_eq!(app.read(&day).await["air_temperature"], -5.0);
+    // in JSON a day is said whole
+    app.post(DAYS).json(&json!([{"date": "2020-01-02", "snow_height": 6}])).await.json(200);
+    assert_eq!(app.read(&day).await["air_temperature"], Value::Null);
+}
+
+#[tokio::test]
+async fn one_day_of_json_means_what_a_put_of_it_means() {
+    let app = lochaber().await;
+    let day = json!({"date": "2020-01-02", "air_temperature": -5, "avalanche_activity": "observed"});
+    app.post(DAYS).json(&day).await.json(200);
+    let mistaken = json!({"date": "2020-01-02", "air_temperature": -5, "avalanche_activity": "unknown"});
+    let report = app.post(DAYS).json(&mistaken).await.json(200);
+    assert_eq!(report["updated"], 1);
+    assert_eq!(app.read(&format!("{DAYS}/2020-01-02")).await["avalanche_activity"], "unknown");
+}
+
+/// The refusal of a body must not be many times as large as the body.
+#[tokio::test]
+async fn a_body_of_unknown_fields_is_refused_in_few_words() {
+    let app = lochaber().await;
+    let fields: Vec<String> = (0..20_000).map(|number| format!("\"f{number}\":1")).collect();
+    let body = format!("[{{\"date\":\"2020-01-02\",{}}}]", fields.join(","));
+    let answer = app.post(DAYS).body("application/json", body.clone()).await;
+    answer.problem("invalid-body");
+    assert!(answer.body.len() < 20_000, "{} bytes for {}", answer.body.len(), body.len());
+}

@@ -229,12 +229,12 @@ async fn an_impossible_day_is_refused_field_by_field() {
       "type": "/problems/invalid-body",
       "title": "The body has unacceptable values",
       "status": 422,
-      "detail": "/air_temperature must be from -60 to 40 (Air temperature, in degC), not 300",
+      "detail": "/air_temperature must be from -60 to 40 (Air temperature, degC), not 300",
       "code": "invalid-body",
       "errors": [
         {
           "pointer": "/air_temperature",
-          "detail": "must be from -60 to 40 (Air temperature, in degC), not 300",
+          "detail": "must be from -60 to 40 (Air temperature, degC), not 300",
           "code": "out_of_range"
         }
       ],

@@ -83,6 +83,7 @@ async fn a_model_says_what_it_was_trained_on() {
         "feature_set": "expert",
         "feature_set_version": 1,
         "features": 64,
+        "feature_choice": "all",
         "variables": [
           "air_temperature",
           "wind_speed",

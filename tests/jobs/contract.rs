@@ -59,6 +59,7 @@ contract! {
     a_large_state_comes_back_whole, lease 1_000 ms;
     a_computation_that_stands_still_is_failed, lease 10_000 ms;
     a_state_on_its_way_holds_nothing_up, lease 1_500 ms;
+    a_ticket_is_delivered_however_often_it_was_put_back, lease 10_000 ms;
     pieces_of_a_lost_attempt_and_of_its_heir_make_one_output, lease 1_000 ms;
     a_computation_hands_pieces_over_while_it_runs, lease 10_000 ms;
 }
@@ -110,6 +111,17 @@ async fn every_accepted_job_ends_once(rig: Rig) {
     for worker in workers {
         worker.stop(Duration::from_secs(5)).await;
     }
+}
+
+/// Workers that cannot reach the desk put a ticket back about once a second: it must not wear out.
+async fn a_ticket_is_delivered_however_often_it_was_put_back(rig: Rig) {
+    let id = rig.submit(json!({"message": "patient"}), 5).await;
+    for _ in 0..1_200 {
+        rig.engine.next().await.unwrap().put_back(Duration::ZERO).await;
+    }
+    let worker = rig.worker("late", 1);
+    assert_eq!(rig.ended(id).await.status, Status::Successful);
+    worker.stop(Duration::from_secs(5)).await;
 }
 
 async fn urgent_jobs_come_first_and_equals_in_their_order(rig: Rig) {
@@ -181,11 +193,12 @@ async fn a_job_that_loses_every_worker_is_failed(rig: Rig) {
     let worker = rig.worker("next", 1);
     let job = rig.ended(id).await;
     assert_eq!((job.status, job.attempt), (Status::Failed, 5));
+    // counted after the end is stored, which is what was waited for
+    worker.stop(Duration::from_secs(5)).await;
     assert_eq!(rig.desk.tally().leases_lost(), 5);
     assert_eq!(job.exception.unwrap().code, "crashed-repeatedly");
     let log = rig.store.job_log(id).await.unwrap();
     assert_eq!(log.iter().filter(|line| line.level == "warn").count(), 4, "{log:?}");
-    worker.stop(Duration::from_secs(5)).await;
 }
 
 async fn a_lost_attempt_is_repeated_from_its_checkpoint(rig: Rig) {

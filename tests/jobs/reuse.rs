@@ -6,7 +6,7 @@ use crate::support::{
     TestApp,
     app::beside_the_servers,
     data,
-    trained::{id, train},
+    trained::{id, train, until},
 };
 
 #[tokio::test]
@@ -60,6 +60,56 @@ async fn the_same_training_on_the_same_days_is_done_once() {
     let path = format!("/v1/stations/synthetic/observations/{}", day.as_str().unwrap());
     assert!(app.put(&path, &json!({"air_temperature": -12.5})).await.status < 300);
     assert_eq!(ask(&inputs, "max-age=0").await["reused"], false);
+}
+
+/// What was edited while a job waited is what it computes from: it is found again by that, and not by what it was
+/// accepted with.
+#[tokio::test]
+async fn a_job_is_found_again_by_the_days_that_it_read() {
+    let app = TestApp::start().await;
+    let store = app.state.store.clone();
+    beside_the_servers(data::synthetic(store.clone(), "synthetic", data::winters(7, 4))).await;
+    let inputs = json!({"inputs": {"station": "synthetic", "label": "observed", "lead": 0}});
+    let slots: Vec<String> = {
+        let mut ids = Vec::new();
+        for _ in 0..app.state.config.job_slots {
+            let body = json!({"inputs": {"message": "in the way", "delay_s": 600}});
+            let job = app.post("/v1/processes/echo/execution").json(&body).await.json(201);
+            ids.push(id(&job).to_owned());
+        }
+        ids
+    };
+    for slot in &slots {
+        let running = app.get(&format!("/v1/jobs/{slot}")).header("prefer", "wait=20").await;
+        assert_ne!(running.json(200)["status"], "successful");
+    }
+    let waiting = app.post("/v1/processes/train-model/execution").json(&inputs).await.json(201);
+    let accepted = app.read(&format!("/v1/jobs/{}/prov", id(&waiting))).await["input_hash"].clone();
+
+    let day = app.read("/v1/stations/synthetic/observations?limit=1").await["observations"][0].clone();
+    let path = format!("/v1/stations/synthetic/observations/{}", day["date"].as_str().unwrap());
+    let before = day["air_temperature"].clone();
+    assert!(app.put(&path, &json!({"air_temperature": -12.5})).await.status < 300);
+    for slot in &slots {
+        app.delete(&format!("/v1/jobs/{slot}")).await.json(200);
+    }
+    until(&app, id(&waiting), |job| job["status"] == "successful").await;
+    let computed = app.read(&format!("/v1/jobs/{}/prov", id(&waiting))).await["input_hash"].clone();
+    assert_ne!(computed, accepted);
+    let results = app.read(&format!("/v1/jobs/{}/results", id(&waiting))).await;
+    assert_eq!(results["provenance"]["input_hash"], computed);
+
+    // the same inputs on the same days as then
+    let again = app.post("/v1/processes/train-model/execution").json(&inputs).await.json(201);
+    assert_eq!((&again["reused"], &again["jobID"]), (&json!(true), &waiting["jobID"]));
+    // and on the days as they were before
+    assert_ne!(before, json!(-12.5));
+    let mut restored = day.as_object().unwrap().clone();
+    restored.retain(|name, value| name == "air_temperature" || (!value.is_null() && name.contains("wind")));
+    assert!(app.put(&path, &Value::Object(restored)).await.status < 300);
+    let other = app.post("/v1/processes/train-model/execution").json(&inputs).await.json(201);
+    assert_eq!(other["reused"], false);
+    app.delete(&format!("/v1/jobs/{}", id(&other))).await.json(200);
 }
 
 #[tokio::test]

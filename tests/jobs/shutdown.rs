@@ -43,9 +43,11 @@ async fn a_signal_saves_what_runs_and_the_next_start_goes_on() {
     server.terminate();
     while stream.chunk().await.unwrap().is_some() {}
     assert_eq!(poll.await.unwrap().json(200)["status"], "accepted");
-    if let Ok(ready) = server.call(Method::GET, "/readyz").0.send().await {
-        assert_eq!(ready.status(), 503);
-    }
+    // it says so as long as it is there
+    server.call(Method::GET, "/readyz").await.problem("shutting-down");
+    assert_eq!(server.call(Method::GET, "/livez").await.status, 200);
+    let more = json!({"inputs": {"message": "more"}});
+    server.call(Method::POST, "/v1/processes/echo/execution").json(&more).await.problem("shutting-down");
     assert_eq!(server.ended().code(), Some(0));
 
     let store = Store::open(data.path()).await.unwrap();

@@ -82,7 +82,10 @@ impl<S: Send + Sync> FromRequest<S> for Body {
 }
 
 /// Refuses a content coding: bytes that were compressed would be read as a malformed file.
-fn uncompressed(headers: &HeaderMap) -> Result<(), Problem> {
+///
+/// # Errors
+/// 415 for any coding but `identity`.
+pub fn uncompressed(headers: &HeaderMap) -> Result<(), Problem> {
     let codings = headers.get_all(header::CONTENT_ENCODING).iter();
     let plain = |value: &HeaderValue| value.as_bytes().eq_ignore_ascii_case(b"identity");
     if codings.into_iter().all(plain) {

@@ -5,7 +5,7 @@ mod conditions;
 mod params;
 mod prefer;
 
-pub use body::{Body, BodyLimit, JsonBody, MediaType, json_fault, media_type, parse_json};
+pub use body::{Body, BodyLimit, JsonBody, MediaType, json_fault, media_type, parse_json, uncompressed};
 pub use conditions::{Conditions, etag};
 pub use params::{Path, Query};
 pub use prefer::{Wait, respond_async};

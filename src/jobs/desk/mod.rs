@@ -20,11 +20,13 @@ pub use tally::{Tally, Write};
 use super::{
     artifacts::Artifacts,
     engine::{Engine, Ticket},
-    processes::Process,
+    link::Artifact,
+    processes::{Process, Shelf},
 };
 use crate::{
     clock,
     domain::{
+        dataset::Dataset,
         ids::new_id,
         job::{Job, Labels, Priority, Report, Spent, Status},
         problem::{Code, Problem},
@@ -51,6 +53,11 @@ struct Inner {
     // outputs are stored and named under `read`, no more named and removed under `write`: equal bytes are stored once
     naming: RwLock<()>,
 }
+
+/// What the file of the columns of a data set is called among outputs.
+pub const COLUMNS: &str = "columns";
+/// Its media type.
+pub const OCTETS: &str = "application/octet-stream";
 
 /// What the desk keeps to.
 #[derive(Clone, Copy, Debug)]
@@ -126,6 +133,40 @@ impl Desk {
     #[must_use]
     pub fn artifacts(&self) -> &Artifacts {
         &self.0.artifacts
+    }
+
+    /// What processes may read.
+    fn shelf(&self) -> Shelf<'_> {
+        Shelf {
+            store: &self.0.store,
+            artifacts: &self.0.artifacts,
+            runout_memory_bytes: self.0.rules.runout_memory_bytes,
+        }
+    }
+
+    /// Stores a data set with the file of its columns; once this returns, both are on disk.
+    ///
+    /// # Errors
+    /// [`Problem`] of a failure of ours; then there is no data set.
+    pub async fn keep_dataset(&self, mut dataset: Dataset, columns: Vec<u8>) -> Result<Dataset, Problem> {
+        let _naming = self.0.naming.read().await;
+        let artifact =
+            Artifact { name: COLUMNS.into(), media_type: OCTETS.into(), bytes: columns, ..Artifact::default() };
+        let stored = self.0.artifacts.put(&artifact).await.map_err(Problem::internal)?;
+        (dataset.sha256, dataset.size) = (stored.sha256, stored.size);
+        self.0.store.insert_dataset(&dataset).await.map_err(Problem::internal)?;
+        Ok(dataset)
+    }
+
+    /// Removes a data set if `permits` agrees; jobs that have not begun yet will not find it any more.
+    ///
+    /// # Errors
+    /// [`StoreError::Missing`] where there is none, [`StoreError::Precondition`] where `permits` does not agree.
+    pub async fn remove_dataset(&self, id: Uuid, permits: impl FnOnce(&Dataset) -> bool) -> Result<(), StoreError> {
+        let _alone = self.0.naming.write().await;
+        let digests = self.0.store.remove_dataset(id, permits).await?;
+        self.0.artifacts.remove(&digests).await;
+        Ok(())
     }
 
     /// Hears of every job that changes; a listener that is too slow hears that it missed some.
@@ -212,7 +253,7 @@ impl Desk {
     ) -> Result<Submitted, Problem> {
         let store = &self.0.store;
         let process = submission.process;
-        let accepted = process.accept(store, &self.0.rules, &submission.inputs).await?;
+        let accepted = process.accept(self.shelf(), &submission.inputs).await?;
         if process.is_pure() && !submission.anew {
             let version = env!("CARGO_PKG_VERSION");
             let same = store.job_of_input(process.id(), &accepted.hash, version).await.map_err(Problem::internal)?;

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use jiff::SignedDuration;
+use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
 use uuid::Uuid;
 
@@ -24,7 +24,7 @@ use crate::{
     },
     store::{
         StoreError,
-        jobs::{Beat, Claim, Outcome, OutputRecord},
+        jobs::{Beat, Claim, Kept, Outcome, OutputRecord},
     },
 };
 
@@ -72,12 +72,19 @@ impl Desk {
         let payload = match Process::from_id(&job.process_id) {
             Some(process) => {
                 self.0.tally.attempt(process);
-                process.payload(&self.0.store, &self.0.rules, &job).await
+                process.payload(self.shelf(), &job).await
             }
             None => Err(Problem::new(Code::JobFailed, format!("there is no process {} any more", job.process_id))),
         };
         match payload {
-            Ok(payload) => Ok(Assignment::Taken { job, payload, checkpoint, lease_ms: ms(self.lease()) }),
+            Ok(payload) => {
+                if payload.input_hash != job.input_hash {
+                    // what the inputs name was edited while the job waited: it is found again by what it computes
+                    self.0.store.set_input_hash(job.id, job.attempt, &payload.input_hash).await.map_err(link)?;
+                }
+                let lease_ms = ms(self.lease());
+                Ok(Assignment::Taken { job, payload: payload.bytes, checkpoint, lease_ms })
+            }
             Err(problem) if problem.code == Code::Internal => {
                 // not the fault of the job: it is tried again
                 self.0.store.release_job(job.id, job.attempt, Spent::default(), clock::now()).await.map_err(link)?;
@@ -206,7 +213,7 @@ impl Desk {
         for (position, part) in (0..).zip(&output.split) {
             let process = Process::from_id(&part.process_id)
                 .ok_or_else(|| Problem::new(Code::NoSuchProcess, format!("there is no process {}", part.process_id)))?;
-            let accepted = process.accept(&self.0.store, &self.0.rules, &part.inputs).await?;
+            let accepted = process.accept(self.shelf(), &part.inputs).await?;
             let mut job = new_job(process, accepted.inputs, accepted.hash);
             job.parent = Some(parent);
             job.position = Some(position);
@@ -216,6 +223,19 @@ impl Desk {
             jobs.push(job);
         }
         Ok(jobs)
+    }
+
+    /// What a job wants kept beside it, as the store keeps it; or why that is not what its process gives.
+    async fn kept(
+        &self,
+        id: Uuid,
+        keep: Option<&Value>,
+        now: Timestamp,
+    ) -> Result<Result<Option<Kept>, serde_json::Error>, StoreError> {
+        let Some(keep) = keep else { return Ok(Ok(None)) };
+        let job = self.0.store.job(id).await?.ok_or(StoreError::Missing)?;
+        let process = Process::from_id(&job.process_id).ok_or(StoreError::Missing)?;
+        Ok(process.kept(&job, keep, now).map(Some))
     }
 
     /// Ends an attempt in the store, with what is kept beside it, and sees to what that brings about.
@@ -228,7 +248,7 @@ impl Desk {
         spent: Spent,
     ) -> Result<(), StoreError> {
         let now = clock::now();
-        let (outcome, kept) = match keep.map(|keep| Process::kept(id, keep, now)).transpose() {
+        let (outcome, kept) = match self.kept(id, keep, now).await? {
             Ok(kept) => (outcome, kept),
             // to deliver it again would not mend it
             Err(error) => {

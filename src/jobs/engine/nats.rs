@@ -38,8 +38,9 @@ const DUPLICATE_WINDOW: Duration = Duration::from_secs(10);
 /// How long the server may take to answer.
 const ANSWER: Duration = Duration::from_secs(5);
 
-/// Deliveries of one ticket; the desk ends a poison job long before.
-const MOST_DELIVERIES: i64 = 1000;
+/// Deliveries of one ticket: without a limit, as a ticket that is in the stream and is not delivered any more would count
+/// as held for ever, and hide that another is lost. The desk ends a poison job by its attempts.
+const MOST_DELIVERIES: i64 = -1;
 
 /// Tickets over NATS JetStream.
 pub struct Nats {

@@ -1,22 +1,37 @@
 //! What can be executed: one file a process, one list of them.
 
 pub mod echo;
+mod emission;
+pub mod emission_analysis;
+pub mod emission_comparison;
+pub mod emission_synthetic;
 pub mod runout;
+pub mod select_features;
 pub mod train_model;
 
 use firn_science::progress::Progress;
 use jiff::Timestamp;
 use serde_json::{Map, Value, json};
-use uuid::Uuid;
 
-use super::{Rules, link::Output};
+use super::{artifacts::Artifacts, link::Output};
 use crate::{
     domain::{
         job::Job,
         problem::{Code, FieldError, Problem},
     },
-    store::{Store, models::NewModel},
+    store::{Store, jobs::Kept},
 };
+
+/// What a process may read before its job is computed.
+#[derive(Clone, Copy)]
+pub struct Shelf<'a> {
+    /// Observations, models, data sets and jobs.
+    pub store: &'a Store,
+    /// The columns of data sets.
+    pub artifacts: &'a Artifacts,
+    /// What a run-out simulation may need, bytes.
+    pub runout_memory_bytes: u64,
+}
 
 /// A process that jobs execute.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,8 +40,16 @@ pub enum Process {
     Echo,
     /// Trains and evaluates a model of a station.
     TrainModel,
+    /// Finds how many features a model of a station takes.
+    SelectFeatures,
     /// Simulates the run-out of an avalanche.
     Runout,
+    /// Analyses a data set of acoustic emission.
+    EmissionAnalysis,
+    /// Compares several data sets of acoustic emission.
+    EmissionComparison,
+    /// Makes a data set of acoustic emission with known truth.
+    EmissionSynthetic,
 }
 
 /// Inputs that were checked in full.
@@ -36,6 +59,15 @@ pub struct Accepted {
     pub inputs: Value,
     /// SHA-256 (hex) of the inputs and of the content that they name.
     pub hash: String,
+}
+
+/// What a worker computes from: it has no store.
+#[derive(Debug)]
+pub struct Payload {
+    /// For [`Process::compute`].
+    pub bytes: Vec<u8>,
+    /// SHA-256 (hex) of the inputs and of the content that they name, as it is in `bytes`.
+    pub input_hash: String,
 }
 
 /// What a client needs to know of a process: OGC API - Processes Part 1, section 7.10.
@@ -57,7 +89,15 @@ pub struct Description {
 
 impl Process {
     /// Every process.
-    pub const ALL: [Self; 3] = [Self::Echo, Self::TrainModel, Self::Runout];
+    pub const ALL: [Self; 7] = [
+        Self::Echo,
+        Self::TrainModel,
+        Self::SelectFeatures,
+        Self::Runout,
+        Self::EmissionAnalysis,
+        Self::EmissionComparison,
+        Self::EmissionSynthetic,
+    ];
 
     /// Its id in every address.
     #[must_use]
@@ -65,7 +105,11 @@ impl Process {
         match self {
             Self::Echo => echo::ID,
             Self::TrainModel => train_model::ID,
+            Self::SelectFeatures => select_features::ID,
             Self::Runout => runout::ID,
+            Self::EmissionAnalysis => emission_analysis::ID,
+            Self::EmissionComparison => emission_comparison::ID,
+            Self::EmissionSynthetic => emission_synthetic::ID,
         }
     }
 
@@ -81,25 +125,34 @@ impl Process {
         match self {
             Self::Echo => echo::description(),
             Self::TrainModel => train_model::description(),
+            Self::SelectFeatures => select_features::description(),
             Self::Runout => runout::description(),
+            Self::EmissionAnalysis => emission_analysis::description(),
+            Self::EmissionComparison => emission_comparison::description(),
+            Self::EmissionSynthetic => emission_synthetic::description(),
         }
     }
 
     /// Whether the same inputs always give the same results, so that they need not be computed twice.
     #[must_use]
     pub const fn is_pure(self) -> bool {
-        !matches!(self, Self::Echo)
+        // each run of the generator gives a data set of its own, which its owner may remove
+        !matches!(self, Self::Echo | Self::EmissionSynthetic)
     }
 
     /// Checks inputs as far as that can be done without computing.
     ///
     /// # Errors
     /// A [`Problem`] with a pointer to every field at fault.
-    pub async fn accept(self, store: &Store, rules: &Rules, inputs: &Value) -> Result<Accepted, Problem> {
+    pub async fn accept(self, shelf: Shelf<'_>, inputs: &Value) -> Result<Accepted, Problem> {
         match self {
             Self::Echo => echo::accept(inputs),
-            Self::TrainModel => train_model::accept(store, inputs).await,
-            Self::Runout => runout::accept(inputs, rules.runout_memory_bytes),
+            Self::TrainModel => train_model::accept(shelf.store, inputs).await,
+            Self::SelectFeatures => select_features::accept(shelf.store, inputs).await,
+            Self::Runout => runout::accept(inputs, shelf.runout_memory_bytes),
+            Self::EmissionAnalysis => emission_analysis::accept(shelf, inputs).await,
+            Self::EmissionComparison => emission_comparison::accept(shelf, inputs).await,
+            Self::EmissionSynthetic => emission_synthetic::accept(inputs),
         }
     }
 
@@ -107,17 +160,25 @@ impl Process {
     ///
     /// # Errors
     /// A [`Problem`] where the job can no longer be computed.
-    pub async fn payload(self, store: &Store, rules: &Rules, job: &Job) -> Result<Vec<u8>, Problem> {
-        match self {
+    pub async fn payload(self, shelf: Shelf<'_>, job: &Job) -> Result<Payload, Problem> {
+        let bytes = match self {
             Self::Echo => {
                 let is_parent = job.inputs["parts"].as_u64() > Some(0);
-                let children =
-                    if is_parent { store.ended_children(job.id).await.map_err(Problem::internal)? } else { Vec::new() };
+                let children = if is_parent {
+                    shelf.store.ended_children(job.id).await.map_err(Problem::internal)?
+                } else {
+                    Vec::new()
+                };
                 echo::payload(&job.inputs, children)
             }
-            Self::TrainModel => train_model::payload(store, job).await,
-            Self::Runout => runout::payload(job, rules.runout_memory_bytes),
-        }
+            Self::TrainModel => return train_model::payload(shelf.store, job).await,
+            Self::SelectFeatures => return select_features::payload(shelf.store, job).await,
+            Self::Runout => runout::payload(job, shelf.runout_memory_bytes),
+            Self::EmissionAnalysis => emission_analysis::payload(shelf, job).await,
+            Self::EmissionComparison => emission_comparison::payload(shelf, job).await,
+            Self::EmissionSynthetic => emission_synthetic::payload(job),
+        }?;
+        Ok(Payload { bytes, input_hash: job.input_hash.clone() })
     }
 
     /// Computes a job from its payload: a pure function that reports to `progress`.
@@ -128,7 +189,11 @@ impl Process {
         match self {
             Self::Echo => echo::compute(payload, progress),
             Self::TrainModel => train_model::compute(payload, progress),
+            Self::SelectFeatures => select_features::compute(payload, progress),
             Self::Runout => runout::compute(payload, progress),
+            Self::EmissionAnalysis => emission_analysis::compute(payload, progress),
+            Self::EmissionComparison => emission_comparison::compute(payload, progress),
+            Self::EmissionSynthetic => emission_synthetic::compute(payload, progress),
         }
     }
 
@@ -136,8 +201,14 @@ impl Process {
     ///
     /// # Errors
     /// Where it is not what [`Process::compute`] gives.
-    pub fn kept(job: Uuid, keep: &Value, now: Timestamp) -> Result<NewModel, serde_json::Error> {
-        train_model::kept(job, keep, now)
+    pub fn kept(self, job: &Job, keep: &Value, now: Timestamp) -> Result<Kept, serde_json::Error> {
+        match self {
+            Self::EmissionSynthetic => emission_synthetic::kept(job, keep, now).map(Kept::Dataset),
+            Self::SelectFeatures => {
+                select_features::kept(job.id, keep).map(|selection| Kept::Selection(Box::new(selection)))
+            }
+            _ => train_model::kept(job.id, keep, now).map(|model| Kept::Model(Box::new(model))),
+        }
     }
 }
 

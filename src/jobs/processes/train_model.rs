@@ -3,7 +3,7 @@
 use firn_science::forecast::{
     day::{DayRecord, Label, Variable},
     features::FeatureSetId,
-    model::{self, TrainedModel, TrainingError, TrainingOptions},
+    model::{self, FeatureChoice, TrainedModel, TrainingError, TrainingOptions},
     svm::{Grid, KernelFamily},
     verification::ThresholdRule,
 };
@@ -58,6 +58,19 @@ pub struct Inputs {
     #[serde(default = "default_feature_set")]
     #[schema(value_type = String, pattern = "^(expert|raw-30)$", default = "expert")]
     pub feature_set: FeatureSetId,
+    /// Names of the features to read, of that set. Where they were chosen on these days, the evaluation is flattered: name a
+    /// `feature_count` to have the choice judged with the rest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_items = 1, max_items = 1000)]
+    pub features: Option<Vec<String>>,
+    /// How many features to keep, by recursive elimination on the training seasons of every split (Gaussian kernel only).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1, maximum = 1000)]
+    pub feature_count: Option<u32>,
+    /// A job of the process `select-features` on this station, label, lead and feature set: `feature_count` is then the
+    /// number that it proposes, unless that is given too, and the model keeps the curve.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub selection: Option<Uuid>,
     /// Kernel of the machine: `gaussian` or `linear`.
     #[serde(default = "default_kernel")]
     #[schema(value_type = String, pattern = "^(gaussian|linear)$", default = "gaussian")]
@@ -82,7 +95,7 @@ pub struct Inputs {
 }
 
 /// The description of a process stands alone: a reference to the schema of a station's name would lead nowhere.
-fn station_schema() -> Object {
+pub(super) fn station_schema() -> Object {
     ObjectBuilder::new()
         .schema_type(Type::String)
         .pattern(Some(StationId::PATTERN))
@@ -90,7 +103,7 @@ fn station_schema() -> Object {
         .build()
 }
 
-fn default_feature_set() -> FeatureSetId {
+pub(super) fn default_feature_set() -> FeatureSetId {
     FeatureSetId::Expert
 }
 
@@ -119,15 +132,16 @@ pub fn description() -> Description {
 }
 
 /// Everything that training needs, read from the store.
-struct Prepared {
-    station: Station,
-    days: Vec<DayRecord>,
-    options: TrainingOptions,
+pub(super) struct Prepared {
+    pub(super) station: Station,
+    pub(super) days: Vec<DayRecord>,
+    pub(super) options: TrainingOptions,
 }
 
 /// Checks the inputs against their schema, the station and the training window.
 pub(super) async fn accept(store: &Store, inputs: &Value) -> Result<Accepted, Problem> {
-    let inputs: Inputs = read(inputs)?;
+    let mut inputs: Inputs = read(inputs)?;
+    take_selection(store, &mut inputs).await?;
     let prepared = prepare(store, &inputs).await?;
     let options = prepared.options;
     let days = prepared.days;
@@ -154,10 +168,40 @@ fn read(inputs: &Value) -> Result<Inputs, Problem> {
     {
         faults.push(FieldError::new("/inputs/to", "out_of_range", format!("must not be before from, {from}")));
     }
+    if read.features.is_some() && (read.feature_count.is_some() || read.selection.is_some()) {
+        let detail = "must be left out where a feature_count or a selection is given";
+        faults.push(FieldError::new("/inputs/features", "contradiction", detail));
+    }
+    if read.features.as_ref().is_some_and(|names| names.is_empty() || names.len() > 1000) {
+        faults.push(FieldError::new("/inputs/features", "out_of_range", "must be 1 to 1000 names"));
+    }
+    if read.feature_count.is_some_and(|count| !(1..=1000).contains(&count)) {
+        faults.push(FieldError::new("/inputs/feature_count", "out_of_range", "must be from 1 to 1000"));
+    }
     if faults.is_empty() { Ok(read) } else { Err(invalid_inputs(faults)) }
 }
 
-async fn prepare(store: &Store, inputs: &Inputs) -> Result<Prepared, Problem> {
+/// Looks the named selection up, which must be one of the same task, and takes the number that it proposes.
+async fn take_selection(store: &Store, inputs: &mut Inputs) -> Result<(), Problem> {
+    let Some(job) = inputs.selection else { return Ok(()) };
+    let fault = |code: &str, detail: String| invalid_inputs(vec![FieldError::new("/inputs/selection", code, detail)]);
+    let record = store.selection(job).await.map_err(Problem::internal)?;
+    let record = record.ok_or_else(|| {
+        fault("unknown_selection", format!("must be a successful job of the process select-features; {job} is none"))
+    })?;
+    let found = &record.selection;
+    let same = record.station == inputs.station
+        && (found.label, found.lead, found.feature_set) == (inputs.label, inputs.lead, inputs.feature_set)
+        && found.feature_set_version == inputs.feature_set.version();
+    if !same {
+        let detail = "must be one of the same station, label, lead, feature set and its version".to_owned();
+        return Err(fault("selection_mismatch", detail));
+    }
+    inputs.feature_count = inputs.feature_count.or_else(|| u32::try_from(found.proposed).ok());
+    Ok(())
+}
+
+pub(super) async fn prepare(store: &Store, inputs: &Inputs) -> Result<Prepared, Problem> {
     let station = store.station(&inputs.station).await.map_err(Problem::internal)?.ok_or_else(|| {
         let detail =
             format!("there is no station {}; create it with PUT /v1/stations/{}", inputs.station, inputs.station);
@@ -170,11 +214,16 @@ async fn prepare(store: &Store, inputs: &Inputs) -> Result<Prepared, Problem> {
     Ok(Prepared { station, days, options })
 }
 
-fn options(inputs: &Inputs, reported: Vec<Variable>) -> TrainingOptions {
+pub(super) fn options(inputs: &Inputs, reported: Vec<Variable>) -> TrainingOptions {
     TrainingOptions {
         label: inputs.label,
         lead: inputs.lead,
         feature_set: inputs.feature_set,
+        features: match (&inputs.features, inputs.feature_count) {
+            (Some(names), _) => FeatureChoice::Named(names.clone()),
+            (None, Some(count)) => FeatureChoice::Eliminated { count: count as usize },
+            (None, None) => FeatureChoice::All,
+        },
         kernel: inputs.kernel,
         reported,
         seed: inputs.seed,
@@ -188,7 +237,16 @@ fn appearing(days: &[DayRecord]) -> Vec<Variable> {
     Variable::ALL.into_iter().filter(|variable| days.iter().any(|day| day.value(*variable).is_some())).collect()
 }
 
-fn refused_window(error: &TrainingError) -> Problem {
+pub(super) fn refused_window(error: &TrainingError) -> Problem {
+    let input = match error {
+        TrainingError::Feature(_) => Some("/inputs/features"),
+        TrainingError::FeatureCount { .. } => Some("/inputs/feature_count"),
+        TrainingError::EliminationKernel => Some("/inputs/kernel"),
+        _ => None,
+    };
+    if let Some(pointer) = input {
+        return invalid_inputs(vec![FieldError::new(pointer, "invalid_choice", error.to_string())]);
+    }
     let pointer = match error {
         TrainingError::OneClass { .. } => "/inputs/label",
         _ => "/inputs/from",
@@ -197,7 +255,7 @@ fn refused_window(error: &TrainingError) -> Problem {
 }
 
 /// SHA-256 (hex) of the inputs and of every value of every day of the window.
-fn hash(inputs: &Inputs, station: &Station, days: &[DayRecord]) -> String {
+pub(super) fn hash(inputs: &Inputs, station: &Station, days: &[DayRecord]) -> String {
     let mut hasher = Sha256::new();
     let text = serde_json::to_string(&(inputs, &station.body.variables)).unwrap_or_default();
     hasher.update(text.as_bytes());
@@ -228,13 +286,15 @@ struct Payload {
 struct Kept {
     station: StationId,
     lead: u8,
+    #[serde(default)]
+    selection: Option<Uuid>,
     summary: Value,
     machine: Value,
     evaluation: Value,
 }
 
 /// The days as they are now: what was edited while the job waited counts, and the provenance says so.
-pub(super) async fn payload(store: &Store, job: &Job) -> Result<Vec<u8>, Problem> {
+pub(super) async fn payload(store: &Store, job: &Job) -> Result<super::Payload, Problem> {
     let inputs: Inputs = serde_json::from_value(job.inputs.clone()).map_err(Problem::internal)?;
     let Prepared { station, days, options } = prepare(store, &inputs).await?;
     let payload = Payload {
@@ -245,7 +305,8 @@ pub(super) async fn payload(store: &Store, job: &Job) -> Result<Vec<u8>, Problem
         inputs,
         days,
     };
-    serde_json::to_vec(&payload).map_err(Problem::internal)
+    let bytes = serde_json::to_vec(&payload).map_err(Problem::internal)?;
+    Ok(super::Payload { bytes, input_hash: payload.input_hash })
 }
 
 /// Trains and evaluates.
@@ -265,7 +326,8 @@ pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output,
     let kept = Kept {
         station: inputs.station,
         lead: inputs.lead,
-        summary: summary(&trained.model, payload.synthetic, &provenance, &scores),
+        selection: inputs.selection,
+        summary: summary(&trained.model, &options.features, payload.synthetic, &provenance, &scores),
         machine: serde_json::to_value(&trained.model).map_err(science)?,
         evaluation: serde_json::to_value(&trained.evaluation).map_err(science)?,
     };
@@ -276,23 +338,30 @@ pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output,
 /// The model as the registry keeps it.
 pub(super) fn kept(job: Uuid, keep: &Value, now: Timestamp) -> Result<NewModel, serde_json::Error> {
     let kept: Kept = serde_json::from_value(keep.clone())?;
-    let record =
-        ModelRecord { id: new_id(), station: kept.station, job, lead: kept.lead, summary: kept.summary, created: now };
+    let record = ModelRecord {
+        id: new_id(),
+        station: kept.station,
+        job,
+        lead: kept.lead,
+        selection: kept.selection,
+        summary: kept.summary,
+        created: now,
+    };
     Ok(NewModel { record, machine: kept.machine.to_string(), evaluation: kept.evaluation.to_string() })
 }
 
-fn science(error: impl std::fmt::Display) -> Failure {
+pub(super) fn science(error: impl std::fmt::Display) -> Failure {
     Failure::Science(error.to_string())
 }
 
 /// What the registry tells of a model without opening it.
-fn summary(model: &TrainedModel, synthetic: bool, provenance: &Value, scores: &Value) -> Value {
+fn summary(model: &TrainedModel, choice: &FeatureChoice, synthetic: bool, provenance: &Value, scores: &Value) -> Value {
     let window = &model.training;
     json!({
         "synthetic": synthetic,
         "training": {
             "label": model.label, "feature_set": model.feature_set, "feature_set_version": model.feature_set_version,
-            "features": model.features.len(), "variables": model.reported, "kernel": kernel(model), "c": model.c,
+            "features": model.features.len(), "feature_choice": choice_name(choice), "variables": model.reported, "kernel": kernel(model), "c": model.c,
             "gamma": model.gamma, "cross_validated_auc": model.cross_validated_auc, "threshold": model.threshold,
             "threshold_rule": model.threshold_rule, "first": window.first, "last": window.last, "days": window.days,
             "events": window.events, "seasons": window.seasons, "base_rate": model.base_rate,
@@ -301,6 +370,15 @@ fn summary(model: &TrainedModel, synthetic: bool, provenance: &Value, scores: &V
         "scores": scores,
         "provenance": provenance,
     })
+}
+
+/// How the features were chosen: `named` ones may have been chosen on the very days that score the model.
+const fn choice_name(choice: &FeatureChoice) -> &'static str {
+    match choice {
+        FeatureChoice::All => "all",
+        FeatureChoice::Named(_) => "named",
+        FeatureChoice::Eliminated { .. } => "eliminated",
+    }
 }
 
 fn kernel(model: &TrainedModel) -> KernelFamily {

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::error::{EmissionError, positive};
 use super::numerics::{Z95, errors_from_curvature, line, log_spaced, maximum};
+use crate::progress::Progress;
 
 /// How main shocks are chosen and followed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -97,55 +98,65 @@ const FEWEST: usize = 50;
 /// Counting stops at the next larger event and at the end of the catalogue. `times_s` do not fall.
 ///
 /// # Errors
-/// Options out of range, or fewer than 50 events.
+/// Options out of range, fewer than 50 events, or [`EmissionError::Cancelled`].
 pub fn aftershocks(
     times_s: &[f64],
     amplitude_v: &[f64],
     options: &AftershockOptions,
+    progress: &dyn Progress,
 ) -> Result<Aftershocks, EmissionError> {
     const WHAT: &str = "aftershocks";
     let n = times_s.len().min(amplitude_v.len());
     if n < FEWEST {
         return Err(EmissionError::TooFewEvents { what: WHAT, found: n, needed: FEWEST });
     }
-    if !(2..=200).contains(&options.bins) {
-        return Err(EmissionError::option("bins", options.bins, "2 to 200"));
-    }
+    options.check()?;
     let length = times_s[n - 1] - times_s[0];
     if length <= 0.0 {
         return Err(EmissionError::Degenerate { what: "time_s" });
     }
     let window = positive("window_s", options.window_s.unwrap_or(length / 100.0))?;
-    let edges = class_edges(options, amplitude_v)?;
+    let edges = class_edges(options, amplitude_v);
     let mut classes: Vec<Vec<Followed>> = vec![Vec::new(); edges.len()];
-    for (main, followed) in main_shocks(times_s, amplitude_v, window) {
+    for (main, followed) in main_shocks(times_s, amplitude_v, window, progress)? {
         let class = edges.partition_point(|&edge| edge <= amplitude_v[main]);
         if class > 0 {
             classes[class - 1].push(followed);
         }
     }
-    let classes: Vec<AftershockClass> = classes
-        .iter()
-        .enumerate()
-        .filter(|(_, followed)| !followed.is_empty())
-        .map(|(k, followed)| class(edges[k], edges.get(k + 1).copied(), followed, window, options.bins))
-        .collect();
-    Ok(Aftershocks { window_s: window, productivity_exponent: productivity_exponent(&classes), classes })
+    let mut found: Vec<AftershockClass> = Vec::new();
+    for (k, followed) in classes.iter().enumerate().filter(|(_, followed)| !followed.is_empty()) {
+        progress.report(k as f64 / classes.len() as f64, WHAT);
+        found.push(class((edges[k], edges.get(k + 1).copied()), followed, window, options.bins, progress));
+        if progress.cancelled() {
+            return Err(EmissionError::Cancelled);
+        }
+    }
+    Ok(Aftershocks { window_s: window, productivity_exponent: productivity_exponent(&found), classes: found })
 }
 
-fn class_edges(options: &AftershockOptions, amplitudes: &[f64]) -> Result<Vec<f64>, EmissionError> {
+impl AftershockOptions {
+    pub(super) fn check(&self) -> Result<(), EmissionError> {
+        if !(2..=200).contains(&self.bins) {
+            return Err(EmissionError::option("bins", self.bins, "2 to 200"));
+        }
+        let rising = self.class_edges_v.windows(2).all(|pair| pair[0] < pair[1]);
+        if !rising || !self.class_edges_v.iter().all(|edge| edge.is_finite() && *edge > 0.0) {
+            let given = format!("{:?}", self.class_edges_v);
+            return Err(EmissionError::option("class_edges_v", given, "rising finite numbers above 0"));
+        }
+        self.window_s.map(|window| positive("window_s", window)).transpose().map(|_| ())
+    }
+}
+
+fn class_edges(options: &AftershockOptions, amplitudes: &[f64]) -> Vec<f64> {
     if options.class_edges_v.is_empty() {
         let low = amplitudes.iter().copied().fold(f64::INFINITY, f64::min);
         let high = amplitudes.iter().copied().fold(0.0, f64::max);
         let classes = ((high / low).log10() * 2.0).ceil().max(1.0) as usize;
-        return Ok((0..classes.min(40)).map(|k| low * 10f64.powf(k as f64 / 2.0)).collect());
+        return (0..classes.min(40)).map(|k| low * 10f64.powf(k as f64 / 2.0)).collect();
     }
-    let rising = options.class_edges_v.windows(2).all(|pair| pair[0] < pair[1]);
-    if !rising || !options.class_edges_v.iter().all(|edge| edge.is_finite() && *edge > 0.0) {
-        let given = format!("{:?}", options.class_edges_v);
-        return Err(EmissionError::option("class_edges_v", given, "rising finite numbers above 0"));
-    }
-    Ok(options.class_edges_v.clone())
+    options.class_edges_v.clone()
 }
 
 /// What came after one main shock.
@@ -158,11 +169,19 @@ struct Followed {
 }
 
 /// The main shocks with their followers.
-fn main_shocks(times: &[f64], amplitudes: &[f64], window: f64) -> Vec<(usize, Followed)> {
+fn main_shocks(
+    times: &[f64],
+    amplitudes: &[f64],
+    window: f64,
+    progress: &dyn Progress,
+) -> Result<Vec<(usize, Followed)>, EmissionError> {
     let n = times.len();
     let end = times[n - 1];
     let mut found = Vec::new();
     for main in 0..n {
+        if main.is_multiple_of(256) && progress.cancelled() {
+            return Err(EmissionError::Cancelled);
+        }
         let (time, amplitude) = (times[main], amplitudes[main]);
         let earlier = (0..main).rev().take_while(|&i| time - times[i] <= window);
         if earlier.into_iter().any(|i| amplitudes[i] >= amplitude) {
@@ -184,10 +203,16 @@ fn main_shocks(times: &[f64], amplitudes: &[f64], window: f64) -> Vec<(usize, Fo
             found.push((main, followed));
         }
     }
-    found
+    Ok(found)
 }
 
-fn class(from_v: f64, to_v: Option<f64>, followed: &[Followed], window: f64, bins: usize) -> AftershockClass {
+fn class(
+    (from_v, to_v): (f64, Option<f64>),
+    followed: &[Followed],
+    window: f64,
+    bins: usize,
+    progress: &dyn Progress,
+) -> AftershockClass {
     let edges = log_spaced(window * 1e-4, window, bins + 1);
     let rate = edges.windows(2).filter_map(|edge| {
         let (from_s, to_s) = (edge[0], edge[1]);
@@ -200,7 +225,7 @@ fn class(from_v: f64, to_v: Option<f64>, followed: &[Followed], window: f64, bin
     });
     let events: usize = followed.iter().map(|f| f.delays.len()).sum();
     let shocks = followed.len() as f64;
-    let omori = omori(followed);
+    let omori = omori(followed, progress);
     AftershockClass {
         from_v,
         to_v,
@@ -215,8 +240,8 @@ fn class(from_v: f64, to_v: Option<f64>, followed: &[Followed], window: f64, bin
 /// Fits Omori's law with a background to stacked delays.
 ///
 /// For c and p given, the share s of aftershocks maximises `sum ln(s f(t_i) + (1 - s) g)`, where f and g are the densities of
-/// both kinds over all spans; the total number of events fixes the remaining factor.
-fn omori(followed: &[Followed]) -> Option<OmoriFit> {
+/// both kinds over all spans; the total number of events fixes the remaining factor. `None` once it is cancelled.
+fn omori(followed: &[Followed], progress: &dyn Progress) -> Option<OmoriFit> {
     let delays: Vec<f64> = followed.iter().flat_map(|f| f.delays.iter().copied()).collect();
     if delays.len() < FEWEST {
         return None;
@@ -230,6 +255,10 @@ fn omori(followed: &[Followed]) -> Option<OmoriFit> {
         if (q * log).abs() < 1e-9 { log } else { (q * log).exp_m1() / q }
     };
     let mixture = |c: f64, p: f64| {
+        if progress.cancelled() {
+            // nowhere better than a constant rate: the search ends at once
+            return (0.0, 0.0);
+        }
         let total: f64 = spans.iter().map(|&span| integral(c, p, span)).sum();
         // f(t) relative to g = 1 / exposure
         let ratio: Vec<f64> = delays.iter().map(|&t| (-p * (t / c).ln_1p()).exp() / c * exposure / total).collect();
@@ -300,6 +329,7 @@ mod tests {
     use crate::emission::catalogue::Column;
     use crate::emission::close;
     use crate::emission::synthetic::{Clustering, SyntheticOptions, synthetic};
+    use crate::progress::Unobserved;
 
     #[test]
     fn omori_comes_back_from_stacked_main_shocks() {
@@ -315,7 +345,7 @@ mod tests {
                 Followed { delays, span: window }
             })
             .collect();
-        let fit = omori(&followed).unwrap();
+        let fit = omori(&followed, &Unobserved).unwrap();
         close(fit.p, p, 4.0 * fit.p_se.unwrap());
         assert!(fit.p_se.unwrap() < 0.1, "{fit:?}");
         close(fit.c_s / c, 1.0, 0.35);
@@ -324,7 +354,7 @@ mod tests {
         let flat: Vec<Followed> = (0..200)
             .map(|_| Followed { delays: (0..5).map(|_| window * rng.random::<f64>()).collect(), span: window })
             .collect();
-        assert!(omori(&flat).is_none_or(|fit| fit.likelihood_ratio < 12.0));
+        assert!(omori(&flat, &Unobserved).is_none_or(|fit| fit.likelihood_ratio < 12.0));
     }
 
     #[test]
@@ -335,7 +365,7 @@ mod tests {
         let times = catalogue.column(Column::TimeS).unwrap();
         let amplitudes = catalogue.amplitudes_v("x").unwrap();
         let options = AftershockOptions { window_s: Some(20.0), ..Default::default() };
-        let found = aftershocks(times, &amplitudes, &options).unwrap();
+        let found = aftershocks(times, &amplitudes, &options, &Unobserved).unwrap();
         let classes: Vec<&AftershockClass> = found.classes.iter().filter(|c| c.main_shocks > 20).collect();
         assert!(classes.len() >= 3);
         assert!(classes.windows(2).all(|pair| pair[1].productivity > pair[0].productivity));
@@ -349,7 +379,7 @@ mod tests {
 
     #[test]
     fn counting_stops_at_a_larger_event_by_hand() {
-        let found = main_shocks(&[0.0, 1.0, 2.0, 3.0, 20.0], &[2.0, 1.0, 5.0, 1.0, 1.0], 10.0);
+        let found = main_shocks(&[0.0, 1.0, 2.0, 3.0, 20.0], &[2.0, 1.0, 5.0, 1.0, 1.0], 10.0, &Unobserved).unwrap();
         let mains: Vec<usize> = found.iter().map(|f| f.0).collect();
         // the last event has no time left to be followed
         assert_eq!(mains, [0, 2]);
@@ -360,11 +390,11 @@ mod tests {
     #[test]
     fn nonsense_is_refused_by_name() {
         let times: Vec<f64> = (0..60).map(f64::from).collect();
-        let run = |options| aftershocks(&times, &[1.0; 60], &options).unwrap_err().to_string();
+        let run = |options| aftershocks(&times, &[1.0; 60], &options, &Unobserved).unwrap_err().to_string();
         let base = AftershockOptions::default;
         assert!(run(AftershockOptions { window_s: Some(0.0), ..base() }).starts_with("window_s is 0"));
         assert!(run(AftershockOptions { bins: 1, ..base() }).starts_with("bins is 1"));
         assert!(run(AftershockOptions { class_edges_v: vec![2.0, 1.0], ..base() }).starts_with("class_edges_v is"));
-        assert!(aftershocks(&times[..9], &[1.0; 9], &base()).is_err());
+        assert!(aftershocks(&times[..9], &[1.0; 9], &base(), &Unobserved).is_err());
     }
 }

@@ -154,6 +154,21 @@ pub fn correlation_integral(
     })
 }
 
+/// Whether `options` can be used on `positions`.
+pub(super) fn check(
+    positions: &[[f64; 3]],
+    location_error_m: Option<f64>,
+    options: &CorrelationOptions,
+) -> Result<(), EmissionError> {
+    let (_, extent) = bounding_box(positions);
+    let largest = extent.iter().copied().fold(0.0, f64::max);
+    if largest <= 0.0 {
+        return Err(EmissionError::Degenerate { what: "the positions" });
+    }
+    options.fit_max_m.map(|fit_max| positive("fit_max_m", fit_max)).transpose()?;
+    radii(options, location_error_m, largest).map(|_| ())
+}
+
 fn weight(point: &CorrelationPoint, n: usize, nulls: usize) -> f64 {
     let n = n.min(NULL_POINTS) as f64;
     let null_pairs = point.c_null * n * (n - 1.0) / 2.0 * nulls as f64;

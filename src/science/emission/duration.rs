@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::error::{EmissionError, positive};
 use super::numerics::{Z95, line, mean, quantile, standard_deviation};
 use super::special::normal_cdf;
+use crate::progress::Progress;
 
 /// Whether averaging the durations of a bin is sensible.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -98,12 +99,13 @@ impl DurationOptions {
 /// a standard error that allows for a spread that grows with the amplitude (White 1980, Econometrica 48, 817-838).
 ///
 /// # Errors
-/// Options out of range, or fewer than 20 events above the threshold.
+/// Options out of range, fewer than 20 events above the threshold, or [`EmissionError::Cancelled`].
 pub fn duration_scaling(
     amplitude_v: &[f64],
     duration_us: &[f64],
     options: &DurationOptions,
     seed: u64,
+    progress: &dyn Progress,
 ) -> Result<DurationScaling, EmissionError> {
     options.check()?;
     let smallest = amplitude_v.iter().copied().fold(f64::INFINITY, f64::min);
@@ -121,11 +123,14 @@ pub fn duration_scaling(
     let edge = |number: f64| threshold * 10f64.powf(number / per_decade);
     let groups = pairs.chunk_by(|a, b| number(a.0) == number(b.0));
     let bins = groups.filter(|group| group.len() >= options.fewest).map(|group| {
+        if progress.cancelled() {
+            return Err(EmissionError::Cancelled);
+        }
         let which = number(group[0].0);
-        bin(group, edge(which), edge(which + 1.0), seed)
+        Ok(bin(group, edge(which), edge(which + 1.0), seed))
     });
     Ok(DurationScaling {
-        bins: bins.collect(),
+        bins: bins.collect::<Result<_, _>>()?,
         threshold_v: threshold,
         damping_per_s: damping,
         damping_se_per_s: se,
@@ -228,6 +233,7 @@ mod tests {
     use crate::emission::close;
     use crate::emission::samples::pareto_sample;
     use crate::emission::synthetic::{SyntheticOptions, synthetic};
+    use crate::progress::Unobserved;
 
     #[test]
     fn anderson_darling_agrees_with_scipy() {
@@ -256,7 +262,7 @@ mod tests {
             let (amplitude, duration) =
                 (catalogue.amplitudes_v("x").unwrap(), catalogue.column(Column::DurationUs).unwrap());
             let options = DurationOptions { threshold_v: Some(truth.threshold_v), ..Default::default() };
-            let scaling = duration_scaling(&amplitude, duration, &options, 1).unwrap();
+            let scaling = duration_scaling(&amplitude, duration, &options, 1, &Unobserved).unwrap();
             close(scaling.damping_per_s, truth.damping_per_s, 4.0 * scaling.damping_se_per_s);
             assert!(scaling.damping_se_per_s < 0.02 * truth.damping_per_s);
             assert!(scaling.bins.len() > 5 && scaling.bins.iter().all(|bin| bin.events >= 20));
@@ -270,12 +276,12 @@ mod tests {
         let amplitude: Vec<f64> = (0..60).map(|i| if i % 2 == 0 { 1.0 } else { 3.0 }).collect();
         let duration: Vec<f64> = (0..60).map(|i| if i % 2 == 0 { 10.0 + f64::from(i % 4) } else { 30.0 }).collect();
         let options = DurationOptions { threshold_v: Some(0.5), bins_per_decade: 2, ..Default::default() };
-        let scaling = duration_scaling(&amplitude, &duration, &options, 1).unwrap();
+        let scaling = duration_scaling(&amplitude, &duration, &options, 1, &Unobserved).unwrap();
         let bin = scaling.bins[0];
         assert_eq!((bin.events, bin.mean_us, bin.median_us), (30, 11.0, 11.0));
         // fifteen each of 10 and 12: s^2 = 30/29
         close(bin.se_us, (1.0_f64 / 29.0).sqrt(), 1e-12);
         close(bin.from_v, 0.5, 1e-12);
-        assert!(duration_scaling(&amplitude[..5], &duration[..5], &options, 1).is_err());
+        assert!(duration_scaling(&amplitude[..5], &duration[..5], &options, 1, &Unobserved).is_err());
     }
 }

@@ -8,7 +8,7 @@
 //! The distributions: [`tails`] (models and maximum likelihood) on a [`sample`], [`xmin`] (where the tail begins), [`goodness`],
 //! [`comparison`] (which model), [`validation`] (bias and coverage), [`maps`] (how the exponent depends on the range). In time:
 //! [`waiting`], [`aftershocks`], [`activity`]. In space: [`correlation`]. Of single events: [`duration`], [`source`],
-//! [`calibration`]. Several data sets: [`sets`].
+//! [`calibration`]. Several data sets: [`sets`], run by [`analysis::compare`].
 
 pub mod activity;
 pub mod aftershocks;

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::error::EmissionError;
 use super::numerics::{log_spaced, mean, quantile, standard_deviation};
 use super::special::chi_square_survival;
+use crate::progress::Progress;
 
 /// A point of a density.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -81,26 +82,38 @@ const FEWEST: usize = 30;
 /// `times_s` do not fall; `thresholds_v` empty takes the quantiles 0, 0.5, 0.75 and 0.9 of the amplitudes.
 ///
 /// # Errors
-/// A threshold that is not finite, or fewer than 30 events at every threshold.
+/// A threshold that is not finite, fewer than 30 events at every threshold, or [`EmissionError::Cancelled`].
 pub fn waiting_times(
     times_s: &[f64],
     amplitude_v: &[f64],
     thresholds_v: &[f64],
+    progress: &dyn Progress,
 ) -> Result<Vec<WaitingTimes>, EmissionError> {
-    if let Some(&value) = thresholds_v.iter().find(|value| !value.is_finite()) {
-        return Err(EmissionError::option("thresholds_v", value, "finite amplitudes"));
-    }
+    check(thresholds_v)?;
     let mut sorted = amplitude_v.to_vec();
     sorted.sort_by(f64::total_cmp);
     let quantiles = [0.0, 0.5, 0.75, 0.9].map(|q| quantile(&sorted, q));
     let thresholds = if thresholds_v.is_empty() { &quantiles[..] } else { thresholds_v };
-    let found: Vec<WaitingTimes> =
-        thresholds.iter().filter_map(|&threshold| above(times_s, amplitude_v, threshold)).collect();
+    let mut found = Vec::new();
+    for &threshold in thresholds {
+        if progress.cancelled() {
+            return Err(EmissionError::Cancelled);
+        }
+        found.extend(above(times_s, amplitude_v, threshold));
+    }
     if found.is_empty() {
         let most = thresholds.iter().map(|t| amplitude_v.iter().filter(|a| *a >= t).count()).max().unwrap_or(0);
         return Err(EmissionError::TooFewEvents { what: "waiting_times", found: most, needed: FEWEST });
     }
     Ok(found)
+}
+
+/// Whether `thresholds_v` can be used.
+pub(super) fn check(thresholds_v: &[f64]) -> Result<(), EmissionError> {
+    match thresholds_v.iter().find(|value| !value.is_finite()) {
+        Some(value) => Err(EmissionError::option("thresholds_v", value, "finite amplitudes")),
+        None => Ok(()),
+    }
 }
 
 fn above(times: &[f64], amplitudes: &[f64], threshold: f64) -> Option<WaitingTimes> {
@@ -169,6 +182,7 @@ mod tests {
     use crate::emission::catalogue::Column;
     use crate::emission::close;
     use crate::emission::synthetic::{Clustering, SyntheticOptions, synthetic};
+    use crate::progress::Unobserved;
 
     #[test]
     fn the_kolmogorov_distribution_agrees_with_scipy() {
@@ -189,7 +203,7 @@ mod tests {
             let options = SyntheticOptions { events: 3000, clustering, hardening, ..Default::default() };
             let catalogue = synthetic(&options, seed).unwrap().0;
             let times = catalogue.column(Column::TimeS).unwrap().to_vec();
-            waiting_times(&times, &catalogue.amplitudes_v("x").unwrap(), &[]).unwrap()
+            waiting_times(&times, &catalogue.amplitudes_v("x").unwrap(), &[], &Unobserved).unwrap()
         };
         let kept = (0..40).filter(|&seed| of(None, 1.0, seed)[0].poisson.is_poisson).count();
         assert!(kept >= 34, "{kept} of 40");
@@ -216,8 +230,9 @@ mod tests {
 
     #[test]
     fn too_little_is_refused() {
-        assert!(waiting_times(&[0.0; 40], &[1.0; 40], &[]).is_err());
-        assert!(waiting_times(&[0.0, 1.0], &[1.0, 1.0], &[]).unwrap_err().to_string().starts_with("waiting_times: 2"));
-        assert!(waiting_times(&[0.0], &[1.0], &[f64::NAN]).is_err());
+        assert!(waiting_times(&[0.0; 40], &[1.0; 40], &[], &Unobserved).is_err());
+        let few = waiting_times(&[0.0, 1.0], &[1.0, 1.0], &[], &Unobserved).unwrap_err();
+        assert!(few.to_string().starts_with("waiting_times: 2"));
+        assert!(waiting_times(&[0.0], &[1.0], &[f64::NAN], &Unobserved).is_err());
     }
 }

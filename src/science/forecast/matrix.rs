@@ -50,6 +50,13 @@ impl Matrix {
         (0..self.rows).map(|i| self.data[i * self.cols + j]).collect()
     }
 
+    /// A new matrix of the columns named by `index`, in that order.
+    #[must_use]
+    pub fn select_columns(&self, index: &[usize]) -> Self {
+        let data = (0..self.rows).flat_map(|i| index.iter().map(move |&j| self.data[i * self.cols + j])).collect();
+        Self { rows: self.rows, cols: index.len(), data }
+    }
+
     /// A new matrix of the rows named by `index`, in that order.
     #[must_use]
     pub fn select_rows(&self, index: &[usize]) -> Self {

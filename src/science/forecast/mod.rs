@@ -2,12 +2,14 @@
 //!
 //! Data flow: [`day`] records of one station -> [`features`] -> standardised samples ([`preparation`]) -> machine ([`svm`]) ->
 //! probability. [`model`] runs it: it trains, forecasts and finds similar days. [`evaluation`] judges the same recipe, and the
-//! models beside it ([`baselines`], [`neighbours`], [`logistic`]), on held-out seasons with the scores of [`verification`].
+//! models beside it ([`baselines`], [`neighbours`], [`logistic`]), on held-out seasons with the scores of [`verification`];
+//! [`selection`] asks how many features it takes; [`issued`] judges what was said in service.
 
 pub mod baselines;
 pub mod day;
 pub mod evaluation;
 pub mod features;
+pub mod issued;
 pub mod logistic;
 pub mod matrix;
 pub mod model;
@@ -15,6 +17,7 @@ pub mod neighbours;
 pub mod preparation;
 #[cfg(test)]
 mod problems;
+pub mod selection;
 pub mod svm;
 pub mod synthetic;
 pub mod verification;

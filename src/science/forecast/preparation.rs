@@ -52,6 +52,12 @@ impl Preparation {
         Self { columns: (0..x.cols()).map(|j| Column::fit(x.column(j))).collect() }
     }
 
+    /// The preparation of the columns named by `index`, in that order. Indices must be those of fitted columns.
+    #[must_use]
+    pub fn select(&self, index: &[usize]) -> Self {
+        Self { columns: index.iter().map(|&j| self.columns[j]).collect() }
+    }
+
     /// What was fitted, one a feature.
     #[must_use]
     pub fn columns(&self) -> &[Column] {

@@ -15,7 +15,7 @@ use super::{
 };
 
 /// Raised with every change to what is saved or to what it means.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 #[derive(Serialize, Deserialize)]
 struct Saved<T> {

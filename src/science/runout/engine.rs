@@ -5,10 +5,11 @@
 use rayon::prelude::*;
 
 use super::{
-    grid::{BedColumn, DRIFT, Layout, NoLayout, Reduced, Reduction, Stage},
+    grid::{BedColumn, DRIFT, Layout, NoLayout, Reduced, Reduction, STRIDE, Stage},
     lanes::Real,
     material::Material,
     particles::{BLOCK, Block, Particle},
+    sort::sort,
     transfer::{ChunkGrid, Motion, Step, weights},
 };
 
@@ -212,7 +213,7 @@ impl<T: Real> Engine<T> {
         if self.drift + self.fastest > DRIFT {
             self.sort()?;
         }
-        if self.fastest > DRIFT {
+        if self.fastest > STRIDE {
             return Err(Halt::Diverged);
         }
         self.drift += self.fastest;
@@ -322,26 +323,18 @@ impl<T: Real> Engine<T> {
 
     /// Sorts the particles by cell and lays the grid out around them.
     fn sort(&mut self) -> Result<(), Halt> {
-        let cells = self.blocks().flat_map(|block| (0..block.len).map(|k| (block.place.column[k], block.place.row[k])));
-        let mut layout = Layout::around(cells, self.frame.bed.len())?;
-        let order = Order::new(&mut layout, self.blocks());
-        let mut chunks = std::mem::take(&mut self.spare);
-        order.place(&layout, self.blocks(), &mut chunks);
+        let mut sorted = std::mem::take(&mut self.spare);
+        let layout = sort(&self.chunks, self.frame.bed.len(), self.frame.material.weakest, &mut sorted)?;
         self.velocity = layout.carry(&self.layout, &self.velocity);
-        self.spare = std::mem::replace(&mut self.chunks, chunks);
+        self.spare = std::mem::replace(&mut self.chunks, sorted);
         self.adopt(layout);
         Ok(())
     }
 
     /// Puts particles in the order of release into cells.
     fn arrange(&mut self, particles: &[Particle<T>]) -> Result<(), Halt> {
-        self.chunks = vec![ChunkParticles { blocks: blocks_of(particles), motion: Vec::new() }];
-        let cells = particles.iter().map(|particle| (particle.column, particle.row));
-        let mut layout = Layout::around(cells, self.frame.bed.len())?;
-        let order = Order::new(&mut layout, self.blocks());
-        let mut chunks = Vec::new();
-        order.place(&layout, self.blocks(), &mut chunks);
-        self.chunks = chunks;
+        let released = [ChunkParticles { blocks: blocks_of(particles), motion: Vec::new() }];
+        let layout = sort(&released, self.frame.bed.len(), self.frame.material.weakest, &mut self.chunks)?;
         self.velocity = vec![[T::of(0.0); 4]; layout.nodes()];
         self.adopt(layout);
         Ok(())
@@ -399,70 +392,4 @@ pub(super) fn blocks_of<T: Real>(particles: &[Particle<T>]) -> Vec<Block<T>> {
         block
     };
     particles.chunks(BLOCK).map(block_of).collect()
-}
-
-/// The sorted order of particles: by node, those of a node in the order that they had.
-struct Order {
-    /// Node of each particle.
-    nodes: Vec<u32>,
-    /// Particles before each node.
-    first: Vec<u32>,
-}
-
-impl Order {
-    /// Counts the particles of each node, and cuts the layout into chunks by them.
-    fn new<'a, T: Real>(layout: &mut Layout, blocks: impl Iterator<Item = &'a Block<T>>) -> Self {
-        let mut first = vec![0; layout.nodes() + 1];
-        let mut nodes = Vec::new();
-        for block in blocks {
-            for k in 0..block.len {
-                let node = layout.node(block.place.column[k], block.place.row[k]);
-                nodes.push(node as u32);
-                first[node + 1] += 1;
-            }
-        }
-        for node in 1..first.len() {
-            first[node] += first[node - 1];
-        }
-        layout.cut(&first);
-        Self { nodes, first }
-    }
-
-    /// Moves the particles to their chunks; `chunks` lends its memory.
-    fn place<'a, T: Real>(
-        mut self,
-        layout: &Layout,
-        blocks: impl Iterator<Item = &'a Block<T>>,
-        chunks: &mut Vec<ChunkParticles<T>>,
-    ) {
-        chunks.resize_with(layout.chunks.len(), ChunkParticles::default);
-        let mut chunk_of = vec![0_u32; layout.lowest.len()];
-        for (index, (span, chunk)) in layout.chunks.iter().zip(chunks.iter_mut()).enumerate() {
-            chunk.motion.clear();
-            chunk.blocks.resize(span.blocks(), Block::empty(0, 0));
-            chunk_of[span.columns[0] as usize..span.columns[1] as usize].fill(index as u32);
-        }
-        let mut particle = 0;
-        for block in blocks {
-            for k in 0..block.len {
-                let next = &mut self.first[self.nodes[particle] as usize];
-                let chunk = chunk_of[block.place.column[k] as usize] as usize;
-                let at = (*next - layout.chunks[chunk].particles[0]) as usize;
-                *next += 1;
-                particle += 1;
-                chunks[chunk].blocks[at / BLOCK].set(at % BLOCK, &block.get(k));
-            }
-        }
-        for (span, chunk) in layout.chunks.iter().zip(chunks.iter_mut()) {
-            let mut left = (span.particles[1] - span.particles[0]) as usize;
-            for block in &mut chunk.blocks {
-                block.len = left.min(BLOCK);
-                left -= block.len;
-                let filler = Block::empty(block.place.column[0], block.place.row[0]).get(0);
-                for k in block.len..BLOCK {
-                    block.set(k, &filler);
-                }
-            }
-        }
-    }
 }

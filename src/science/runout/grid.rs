@@ -7,21 +7,24 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     dispatch::dispatched,
-    lanes::Real,
+    lanes::{Real, max},
     particles::{BLOCK, Particle},
     transfer::ChunkGrid,
+    vector::Vector,
 };
 
+/// Cells that a particle may move in a step.
+pub(super) const STRIDE: f64 = 0.95;
 /// Cells that a particle may move before the particles are sorted again.
-pub(super) const DRIFT: f64 = 0.95;
-/// Columns and rows beyond a particle's cell that it may reach: one by drift, one by its spline.
-const REACH: usize = 2;
+pub(super) const DRIFT: f64 = 1.95;
+/// Columns and rows beyond a particle's cell that it may reach: two by drift, one by its spline.
+const REACH: usize = 3;
 /// Columns that a chunk has at least, so that only neighbours share nodes.
 const NARROWEST: usize = 2 * REACH + 2;
 /// Particles of a chunk, about: few enough that two cores share a small run, so many that shared columns cost little.
 const CHUNK: usize = 16_384;
-/// Lanes of a sum over nodes.
-const LANES: usize = 16;
+/// Nodes whose energies are summed in the precision of the run; the sums of so many are summed in `f64`.
+const TALLY: usize = 256;
 
 /// The bed as a column of nodes meets it.
 #[derive(Clone, Copy, Debug)]
@@ -62,6 +65,38 @@ pub(super) struct Layout {
     pub(super) chunks: Vec<ChunkSpan>,
 }
 
+/// What is in a column.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Occupied {
+    pub(super) particles: u32,
+    /// Rows of its particles.
+    lowest: i32,
+    highest: i32,
+}
+
+impl Default for Occupied {
+    fn default() -> Self {
+        Self { particles: 0, lowest: i32::MAX, highest: i32::MIN }
+    }
+}
+
+impl Occupied {
+    /// One more particle.
+    #[inline(always)]
+    pub(super) fn add(&mut self, row: i32) {
+        self.particles += 1;
+        self.lowest = self.lowest.min(row);
+        self.highest = self.highest.max(row);
+    }
+
+    /// All that are in the same column elsewhere.
+    pub(super) fn merge(&mut self, other: &Self) {
+        self.particles += other.particles;
+        self.lowest = self.lowest.min(other.lowest);
+        self.highest = self.highest.max(other.highest);
+    }
+}
+
 /// Why there is no layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum NoLayout {
@@ -83,28 +118,23 @@ impl Layout {
     }
 
     /// Number of the node that is nearest to a particle; it is one of the layout's for every particle that made it.
-    #[inline(always)]
     pub(super) fn node(&self, column: i32, row: i32) -> usize {
         (self.offset[column as usize] + row) as usize
     }
 
-    /// The layout for particles in these cells, of `columns` in all, without its chunks.
-    pub(super) fn around(cells: impl Iterator<Item = (i32, i32)>, columns: usize) -> Result<Self, NoLayout> {
-        let mut rows = vec![(i32::MAX, i32::MIN); columns];
-        let inside = REACH as i32..columns as i32 - REACH as i32;
-        for (column, row) in cells {
-            if !inside.contains(&column) {
-                return Err(NoLayout::LeftDomain);
-            }
-            let span = &mut rows[column as usize];
-            *span = (span.0.min(row), span.1.max(row));
+    /// The layout for particles in these columns.
+    pub(super) fn around(occupied: &[Occupied]) -> Result<Self, NoLayout> {
+        let columns = occupied.len();
+        let edge = REACH.min(columns);
+        if occupied[..edge].iter().chain(&occupied[columns - edge..]).any(|column| column.particles > 0) {
+            return Err(NoLayout::LeftDomain);
         }
         let (mut offset, mut lowest, mut start) = (Vec::new(), Vec::new(), vec![0]);
         let mut nodes = 0_i32;
         let reach = REACH as i32;
         for column in 0..columns {
-            let near = &rows[column.saturating_sub(REACH)..(column + REACH + 1).min(columns)];
-            let (low, high) = near.iter().fold((i32::MAX, i32::MIN), |(l, h), span| (l.min(span.0), h.max(span.1)));
+            let near = &occupied[column.saturating_sub(REACH)..(column + REACH + 1).min(columns)];
+            let (low, high) = near.iter().fold((i32::MAX, i32::MIN), |(l, h), c| (l.min(c.lowest), h.max(c.highest)));
             let empty = low > high;
             let low = if empty { 0 } else { low.saturating_sub(reach) };
             let length = if empty { 0 } else { high.saturating_add(reach + 1).saturating_sub(low) };
@@ -113,30 +143,35 @@ impl Layout {
             nodes = nodes.checked_add(length).filter(|&nodes| nodes < 1 << 28).ok_or(NoLayout::TooLarge)?;
             start.push(nodes as u32);
         }
-        Ok(Self { offset, lowest, start, chunks: Vec::new() })
+        let mut layout = Self { offset, lowest, start, chunks: Vec::new() };
+        layout.cut(occupied);
+        Ok(layout)
     }
 
-    /// Cuts the columns into chunks of about [`CHUNK`] particles; `first` has, for every node, the particles before it.
+    /// Cuts the columns into chunks of about [`CHUNK`] particles.
     ///
     /// How many there are depends on the particles alone, so that sums have one order on every machine.
-    pub(super) fn cut(&mut self, first: &[u32]) {
-        let particles = first.last().map_or(0, |&n| n as usize);
+    fn cut(&mut self, occupied: &[Occupied]) {
+        let columns = occupied.len();
+        let mut before = vec![0; columns + 1];
+        for (column, occupied) in occupied.iter().enumerate() {
+            before[column + 1] = before[column] + occupied.particles as usize;
+        }
+        let particles = before[columns];
         let wanted = (particles / CHUNK).max(1);
-        let columns = self.lowest.len();
-        let before = |column: usize| first[self.start[column] as usize] as usize;
         let mut chunks: Vec<ChunkSpan> = Vec::with_capacity(wanted);
         let mut from = 0;
         while from < columns {
             let target = particles * (chunks.len() + 1) / wanted;
             let mut to = (from + NARROWEST).min(columns);
-            while to < columns && before(to) < target {
+            while to < columns && before[to] < target {
                 to += 1;
             }
             if columns - to < NARROWEST || chunks.len() + 1 == wanted {
                 to = columns;
             }
             let nodes = [self.start[from.saturating_sub(REACH)], self.start[(to + REACH).min(columns)]];
-            let particles = [before(from) as u32, before(to) as u32];
+            let particles = [before[from] as u32, before[to] as u32];
             chunks.push(ChunkSpan { columns: [from as u32, to as u32], particles, nodes });
             from = to;
         }
@@ -178,10 +213,12 @@ impl Layout {
                 && chunk.particles[0] <= chunk.particles[1]
                 && chunk.nodes[0] <= chunk.nodes[1]
                 && chunk.nodes[1] as usize <= self.nodes()
+                && self.start.get(chunk.columns[0] as usize).is_some_and(|first| chunk.nodes[0] <= *first)
+                && self.start.get(chunk.columns[1] as usize).is_some_and(|end| *end <= chunk.nodes[1])
         });
         let numbered = (0..columns).all(|c| self.offset[c] == (self.start[c] as i32).saturating_sub(self.lowest[c]));
         let placed = particles.iter().all(|particle| {
-            (2..columns as i32 - 2).contains(&particle.column) && {
+            (REACH as i32..columns as i32 - REACH as i32).contains(&particle.column) && {
                 let column = particle.column as usize;
                 let row = i64::from(particle.row) - i64::from(self.lowest[column]);
                 (0..self.column(column).len() as i64).contains(&row)
@@ -228,32 +265,8 @@ pub(super) struct Reduced {
     pub(super) kinetic: f64,
     /// Energy lost at the bed, where it was measured: its impulse times the mean velocity of the step.
     pub(super) bed: f64,
-    /// The largest velocity component of any node, cells a step.
+    /// The largest velocity component of any node, before or after it met the bed, cells a step.
     pub(super) fastest: f64,
-}
-
-/// Kinetic energy and largest velocity component of nodes.
-#[inline(always)]
-fn tally<T: Real>(mass: &[T], velocity: &[[T; 4]]) -> (f64, T) {
-    let (zero, half) = (T::of(0.0), T::of(0.5));
-    let (mut energy, mut fastest) = ([zero; LANES], [zero; LANES]);
-    let mut add = |lane: usize, m: T, [vx, vz, ..]: [T; 4]| {
-        let (ax, az) = (if vx > zero { vx } else { -vx }, if vz > zero { vz } else { -vz });
-        energy[lane] += half * m * (vx * vx + vz * vz);
-        let larger = if ax > az { ax } else { az };
-        fastest[lane] = if larger > fastest[lane] { larger } else { fastest[lane] };
-    };
-    let ((masses, mass_rest), (velocities, velocity_rest)) = (mass.as_chunks::<LANES>(), velocity.as_chunks::<LANES>());
-    for (m, v) in masses.iter().zip(velocities) {
-        for lane in 0..LANES {
-            add(lane, m[lane], v[lane]);
-        }
-    }
-    for (lane, (m, v)) in mass_rest.iter().zip(velocity_rest).enumerate() {
-        add(lane, *m, *v);
-    }
-    let sum = energy.iter().map(|e| e.f64()).sum();
-    (sum, fastest.iter().fold(zero, |a, &b| if b > a { b } else { a }))
 }
 
 /// Adds the chunk grids over the columns of one chunk, makes velocities of momenta and applies gravity and the bed.
@@ -263,61 +276,128 @@ fn tally<T: Real>(mass: &[T], velocity: &[[T; 4]]) -> (f64, T) {
 fn reduce_nodes<T: Real>(input: &Reduction<'_, T>, velocity: &mut [[T; 4]]) -> Reduced {
     let Reduction { layout, chunk, grids, .. } = *input;
     let columns = layout.chunks[chunk].columns.map(|column| column as usize);
-    let (from, to) = (layout.start[columns[0]] as usize, layout.start[columns[1]] as usize);
-    velocity.fill([T::of(0.0); 4]);
-    let near = chunk.saturating_sub(1)..(chunk + 2).min(grids.len());
-    for (span, grid) in layout.chunks[near.clone()].iter().zip(&grids[near]) {
-        let [first, end] = span.nodes.map(|node| node as usize);
-        let (low, high) = (first.max(from), end.min(to));
-        if low >= high {
+    let from = layout.start[columns[0]] as usize;
+    let gravity = if matches!(input.stage, Stage::Transferred) { T::of(0.0) } else { input.gravity };
+    let mut mass = Vec::with_capacity(velocity.len() + 4);
+    let mut momenta = [[T::of(0.0); 4]; TALLY];
+    let mut reduced = Reduced::default();
+    for (part, nodes) in velocity.chunks_mut(TALLY).enumerate() {
+        let at = from + TALLY * part;
+        sum_of_chunks(layout, chunk, grids, at, &mut momenta[..nodes.len()]);
+        let (kinetic, fastest) = divide(&momenta, nodes, &mut mass, gravity);
+        reduced.kinetic += kinetic;
+        reduced.fastest = reduced.fastest.max(fastest.f64());
+    }
+    if let Stage::Forced(before) = input.stage {
+        contact(input, velocity, &mass, before, &mut reduced);
+    }
+    reduced
+}
+
+/// What a chunk and its neighbours gave to the nodes from number `at` on, which are the chunk's own.
+#[inline(always)]
+fn sum_of_chunks<T: Real>(layout: &Layout, chunk: usize, grids: &[ChunkGrid<T>], at: usize, momenta: &mut [[T; 4]]) {
+    // what the chunk itself gave covers all of its nodes
+    let own = at - layout.chunks[chunk].nodes[0] as usize;
+    momenta.copy_from_slice(&grids[chunk].nodes[own..own + momenta.len()]);
+    for (other, grid) in grids.iter().enumerate().take(chunk + 2).skip(chunk.saturating_sub(1)) {
+        let [first, end] = layout.chunks[other].nodes.map(|node| node as usize);
+        let (low, high) = (first.max(at), end.min(at + momenta.len()));
+        if other == chunk || low >= high {
             continue;
         }
         let given = &grid.nodes[low - first..high - first];
-        for (sum, given) in velocity[low - from..high - from].iter_mut().zip(given) {
+        for (sum, given) in momenta[low - at..high - at].iter_mut().zip(given) {
             *sum = [sum[0] + given[0], sum[1] + given[1], sum[2] + given[2], T::of(0.0)];
         }
     }
-    let (zero, one, tiny) = (T::of(0.0), T::of(1.0), T::of(1e-30));
-    let gravity = if matches!(input.stage, Stage::Transferred) { zero } else { input.gravity };
-    let mut mass = vec![zero; velocity.len()];
-    for (v, mass) in velocity.iter_mut().zip(&mut mass) {
-        let [px, pz, m, _] = *v;
-        let (inverse, gravity) = if m > tiny { (one / m, gravity) } else { (zero, zero) };
-        let (vx, vz) = (px * inverse, pz * inverse - gravity);
-        *v = [vx, vz, vx, vz];
-        *mass = m;
-    }
-    let bed = match input.stage {
-        Stage::Transferred => 0.0,
-        Stage::Forced(before) => contact(input, velocity, &mass, before),
-    };
-    let (kinetic, fastest) = tally(&mass, velocity);
-    Reduced { kinetic, bed, fastest: fastest.f64() }
 }
 
-/// Lets the nodes inside of the bed meet it; returns the energy that is lost where the velocities `before` all forces are
-/// known.
+/// Velocities of at most [`TALLY`] nodes, which fall; appends their masses. Returns their kinetic energy and largest velocity
+/// component.
 #[inline(always)]
-fn contact<T: Real>(input: &Reduction<'_, T>, velocity: &mut [[T; 4]], mass: &[T], before: Option<&[[T; 4]]>) -> f64 {
+fn divide<T: Real>(momenta: &[[T; 4]; TALLY], nodes: &mut [[T; 4]], mass: &mut Vec<T>, gravity: T) -> (f64, T) {
+    let (zero, one) = (T::V::splat(T::of(0.0)), T::V::splat(T::of(1.0)));
+    // nothing falls where nothing is
+    let (tiny, huge) = (T::V::splat(T::of(1e-30)), T::V::splat(T::of(1e30)));
+    let (gravity, half) = (T::V::splat(gravity), T::V::splat(T::of(0.5)));
+    let (mut kinetic, mut fastest) = (zero, zero);
+    let mut four_of = |momenta: &[[T; 4]; 4], nodes: &mut [[T; 4]; 4]| {
+        let [px, pz, m, _] = T::V::transpose([
+            T::V::load(&momenta[0]),
+            T::V::load(&momenta[1]),
+            T::V::load(&momenta[2]),
+            T::V::load(&momenta[3]),
+        ]);
+        let inverse = one.div(m.max(tiny));
+        let (vx, vz) = (px.mul(inverse), pz.mul(inverse).sub(gravity.mul(m.mul(huge).min(one))));
+        kinetic = m.mul(half).mul_add(vx.mul_add(vx, vz.mul(vz)), kinetic);
+        fastest = vx.max(zero.sub(vx)).max(vz.max(zero.sub(vz))).max(fastest);
+        let rows = T::V::transpose([vx, vz, vx, vz]);
+        rows[0].store(&mut nodes[0]);
+        rows[1].store(&mut nodes[1]);
+        rows[2].store(&mut nodes[2]);
+        rows[3].store(&mut nodes[3]);
+        let mut masses = [T::of(0.0); 4];
+        m.store(&mut masses);
+        mass.extend_from_slice(&masses);
+    };
+    let (momenta, _) = momenta.as_chunks::<4>();
+    let (fours, rest) = nodes.as_chunks_mut::<4>();
+    let whole = fours.len();
+    for (momenta, nodes) in momenta.iter().zip(fours) {
+        four_of(momenta, nodes);
+    }
+    if !rest.is_empty() {
+        // beyond the last node lie the momenta of others, or none
+        let (mut given, mut last) = ([[T::of(0.0); 4]; 4], [[T::of(0.0); 4]; 4]);
+        given[..rest.len()].copy_from_slice(&momenta[whole][..rest.len()]);
+        four_of(&given, &mut last);
+        rest.copy_from_slice(&last[..rest.len()]);
+    }
+    let (mut sums, mut largest) = ([T::of(0.0); 4], [T::of(0.0); 4]);
+    kinetic.store(&mut sums);
+    fastest.store(&mut largest);
+    let sum = sums.iter().map(|sum| sum.f64()).sum();
+    (sum, max(max(largest[0], largest[1]), max(largest[2], largest[3])))
+}
+
+/// Lets the nodes inside of the bed meet it and corrects what they amount to; the energy that is lost is measured where the
+/// velocities `before` all forces are known.
+#[inline(always)]
+fn contact<T: Real>(
+    input: &Reduction<'_, T>,
+    velocity: &mut [[T; 4]],
+    mass: &[T],
+    before: Option<&[[T; 4]]>,
+    reduced: &mut Reduced,
+) {
     let Reduction { layout, chunk, .. } = *input;
     let columns = layout.chunks[chunk].columns.map(|column| column as usize);
     let from = layout.start[columns[0]] as usize;
-    let mut lost = 0.0;
     for column in columns[0]..columns[1] {
         let rows = layout.column(column);
         let inside = (input.bed[column].row - layout.lowest[column] + 1).clamp(0, rows.len() as i32) as usize;
+        let (mut slower, mut fastest) = (T::of(0.0), T::of(0.0));
         for node in rows.start - from..rows.start - from + inside {
-            let free = [velocity[node][0], velocity[node][1]];
+            let (free, mass) = ([velocity[node][0], velocity[node][1]], mass[node]);
+            if mass == T::of(0.0) {
+                continue;
+            }
             let held = meet(free, &input.bed[column], input.friction, input.sticky);
             velocity[node] = [held[0], held[1], held[0], held[1]];
+            let square = |v: [T; 2]| v[0] * v[0] + v[1] * v[1];
+            slower += mass * (square(free) - square(held));
+            fastest = max(max(max(held[0], -held[0]), max(held[1], -held[1])), fastest);
             if let Some(before) = before {
                 let work = (held[0] - free[0]) * (held[0] + before[node][0])
                     + (held[1] - free[1]) * (held[1] + before[node][1]);
-                lost -= 0.5 * (mass[node] * work).f64();
+                reduced.bed -= 0.5 * (mass * work).f64();
             }
         }
+        reduced.kinetic -= 0.5 * slower.f64();
+        reduced.fastest = reduced.fastest.max(fastest.f64());
     }
-    lost
 }
 
 /// The velocity of a node inside of the bed after its contact: Coulomb friction of what moves into the bed, nothing where it

@@ -3,7 +3,8 @@
 
 use super::{
     lanes::{Real, max, sinh},
-    material::{Material, Returned},
+    material::{Material, Returned, Trial},
+    particles::GROUP,
 };
 
 /// How often the bracket of the pressure is halved: down to the rounding of either precision.
@@ -13,7 +14,7 @@ const fn halvings<T>() -> usize {
 
 /// A trial state outside of the yield surface, in units of K.
 #[derive(Clone, Copy, Debug)]
-struct Trial<T> {
+struct Scaled<T> {
     pressure: T,
     /// `q sqrt(1 + 2 beta) / M`.
     shear: T,
@@ -40,7 +41,7 @@ impl<T: Real> Material<T> {
     /// The stress at a pressure on the way of associative flow from the trial: as both invariants relax in proportion to the
     /// distance from the centre, `q / q_tr = u / (u + (A / B) (p_tr - p))` with `u = p - p_c` (see [`Material::closest`]).
     #[inline(always)]
-    fn on_way(&self, trial: &Trial<T>, pressure: T) -> OnWay<T> {
+    fn on_way(&self, trial: &Scaled<T>, pressure: T) -> OnWay<T> {
         let strength = sinh(self.hardening * max(trial.reach - pressure, T::of(0.0)));
         let (centre, half_axis) = (self.centre * strength, self.half_axis * strength);
         let (u, v) = (pressure - centre, trial.pressure - pressure);
@@ -60,45 +61,38 @@ impl<T: Real> Material<T> {
     /// centre of the surface it is found by halving, which no softening leads astray. `cohesion <= 1`, so that the centre
     /// does not lie in tension.
     #[inline(never)] // it is seldom used, and would swell the step that is
-    pub(super) fn implicit<const N: usize>(
-        &self,
-        volumetric: &[T; N],
-        deviatoric: &[T; N],
-        plastic_strain: &[T; N],
-        strength: &[T; N],
-    ) -> [Returned<T>; N] {
+    pub(super) fn implicit(&self, trial: &Trial<T>, out: &mut Returned<T>) {
         let (zero, half) = (T::of(0.0), T::of(0.5));
-        let mut out = [Returned { volumetric: zero, shear: zero, plastic: zero }; N];
-        let of_lane = |k: usize| Trial {
+        let Trial { volumetric, deviatoric, plastic_strain, strength } = trial;
+        let of_lane = |k: usize| Scaled {
             pressure: -volumetric[k],
             shear: self.shear_of_strain * deviatoric[k] * self.bulk_inverse,
             reach: -volumetric[k] - plastic_strain[k],
         };
-        let trials: [Trial<T>; N] = std::array::from_fn(of_lane);
+        let trials: [Scaled<T>; GROUP] = std::array::from_fn(of_lane);
         let mut outside = trials.map(|trial| trial.pressure);
-        let mut inside: [T; N] = std::array::from_fn(|k| {
+        let mut inside: [T; GROUP] = std::array::from_fn(|k| {
             let centre = self.centre * strength[k] * self.bulk_inverse;
             // compaction moves the centre up and dilation down: either way it is not beyond these
             if trials[k].pressure > centre { zero } else { centre }
         });
         for _ in 0..halvings::<T>() {
-            for k in 0..N {
+            for k in 0..GROUP {
                 let middle = half * (outside[k] + inside[k]);
                 let is_outside = self.on_way(&trials[k], middle).outside;
                 outside[k] = if is_outside { middle } else { outside[k] };
                 inside[k] = if is_outside { inside[k] } else { middle };
             }
         }
-        for k in 0..N {
+        for k in 0..GROUP {
             let state = self.on_way(&trials[k], half * (outside[k] + inside[k]));
             // the last error is taken out along the radius, as in `closest`
             let onto = state.half_axis / max(state.radius, T::of(1e-30));
             let weakest = self.weakest * self.bulk_inverse;
             let strong = (trials[k].reach > zero) & (state.half_axis > weakest);
-            let elastic = if strong { -(state.centre + state.from_centre * onto) } else { zero };
-            let shear = if strong { state.remains * onto } else { zero };
-            out[k] = Returned { volumetric: elastic, shear, plastic: volumetric[k] - elastic };
+            out.volumetric[k] = if strong { -(state.centre + state.from_centre * onto) } else { zero };
+            out.shear[k] = if strong { state.remains * onto } else { zero };
+            out.plastic[k] = volumetric[k] - out.volumetric[k];
         }
-        out
     }
 }

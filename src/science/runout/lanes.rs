@@ -1,7 +1,8 @@
 //! Numbers of the dynamics in either precision, with elementary functions that compile to SIMD.
 //!
-//! Nothing here depends on the width of the machine's registers or on its mathematical library, and no multiplication is
-//! fused with an addition, so every instruction set gives the same bits.
+//! Nothing here depends on the width of the machine's registers or on its mathematical library, and multiplications are
+//! fused with additions only where it says so, so every instruction set gives the same bits. What is fused is slow where
+//! the machine cannot do it: x86-64 before AVX2.
 
 use std::{
     fmt::Debug,
@@ -34,8 +35,8 @@ pub(super) trait Real:
     /// Four of them in a register.
     type V: super::vector::Vector<Self>;
 
-    /// Newton steps after which a plastic return has converged to this precision, from any trial stress.
-    const NEWTON_STEPS: usize;
+    /// Steps of Halley's method after which a plastic return has converged to this precision, from any trial stress.
+    const RETURN_STEPS: usize;
 
     /// Rounded to this precision.
     fn of(x: f64) -> Self;
@@ -46,6 +47,9 @@ pub(super) trait Real:
     /// Square root, correctly rounded.
     fn sqrt(self) -> Self;
 
+    /// `self * by + plus`, rounded once.
+    fn mul_add(self, by: Self, plus: Self) -> Self;
+
     /// The nearest integer, as a number and as an integer; `|self| < 2^22`.
     fn nearest(self) -> (Self, i32);
 
@@ -53,8 +57,11 @@ pub(super) trait Real:
     /// is `x` itself where `k = 0`.
     fn reduced(self) -> (Self, Self);
 
-    /// `atanh(s) / s` of `z = s^2 <= 0.0295`.
+    /// `atanh(s) / s` of `z = s^2 <= `[`NEAR`].
     fn atanh_ratio(z: Self) -> Self;
+
+    /// `cosh(x) - 1` and `sinh(x) / x` of `z = x^2`, where `tanh(x)^2 <= `[`NEAR`].
+    fn cosh_m1_and_sinh_ratio(z: Self) -> (Self, Self);
 
     /// `exp(x) - 1` for `|x| <= 80`; beyond, that of the bound.
     fn exp_m1(self) -> Self;
@@ -69,6 +76,10 @@ pub(super) trait Real:
     fn reduce(reduction: &Reduction<'_, Self>, velocity: &mut [[Self; 4]]) -> super::grid::Reduced;
 }
 
+/// Squares up to which series are short: a little over that of `(sqrt 2 - 1) / (sqrt 2 + 1)`, which is what a logarithm
+/// comes to once the power of 2 is taken out.
+pub(super) const NEAR: f64 = 0.0295;
+
 /// `ln 2`.
 const LN_2: f64 = std::f64::consts::LN_2;
 
@@ -80,7 +91,7 @@ pub(super) fn ln_1p_pair<T: Real>(x: T, y: T) -> (T, T) {
     let (dx, dy) = (two + x, two + y);
     let inverse = T::of(1.0) / (dx * dy);
     let (sx, sy) = (x * (dy * inverse), y * (dx * inverse));
-    let log = |k: T, s: T| k * T::of(LN_2) + (s + s) * T::atanh_ratio(s * s);
+    let log = |k: T, s: T| k.mul_add(T::of(LN_2), (s + s) * T::atanh_ratio(s * s));
     (log(kx, sx), log(ky, sy))
 }
 
@@ -105,14 +116,14 @@ pub(super) fn min<T: Real>(a: T, b: T) -> T {
 
 macro_rules! real {
     (
-        $t:ident, $vector:ident, $signed:ident, $mantissa:literal, $bias:literal, $round:literal, $newton:literal,
-        atanh $atanh:expr, exp $exp:expr, ln_2 ($high:expr, $low:expr),
+        $t:ident, $vector:ty, $signed:ident, $mantissa:literal, $bias:literal, $round:literal, $steps:literal,
+        atanh $atanh:expr, cosh $cosh:expr, sinh $sinh:expr, exp $exp:expr, ln_2 ($high:expr, $low:expr),
         $step:ident, $audit:ident, $reduce:ident
     ) => {
         impl Real for $t {
-            type V = wide::$vector;
+            type V = $vector;
 
-            const NEWTON_STEPS: usize = $newton;
+            const RETURN_STEPS: usize = $steps;
 
             #[inline(always)]
             fn of(x: f64) -> Self {
@@ -127,6 +138,11 @@ macro_rules! real {
             #[inline(always)]
             fn sqrt(self) -> Self {
                 $t::sqrt(self)
+            }
+
+            #[inline(always)]
+            fn mul_add(self, by: Self, plus: Self) -> Self {
+                $t::mul_add(self, by, plus)
             }
 
             #[inline(always)]
@@ -151,26 +167,39 @@ macro_rules! real {
                 let terms = $atanh;
                 let mut sum = terms[0];
                 for term in &terms[1..] {
-                    sum = sum * z + term;
+                    sum = sum.mul_add(z, *term);
                 }
-                sum * z + 1.0
+                sum.mul_add(z, 1.0)
+            }
+
+            #[inline(always)]
+            fn cosh_m1_and_sinh_ratio(z: Self) -> (Self, Self) {
+                let (cosh_terms, sinh_terms) = ($cosh, $sinh);
+                let (mut cosh, mut sinh) = (cosh_terms[0], sinh_terms[0]);
+                for term in &cosh_terms[1..] {
+                    cosh = cosh.mul_add(z, *term);
+                }
+                for term in &sinh_terms[1..] {
+                    sinh = sinh.mul_add(z, *term);
+                }
+                (cosh * z, sinh.mul_add(z, 1.0))
             }
 
             #[inline(always)]
             fn exp_m1(self) -> Self {
                 let x = max(min(self, 80.0), -80.0);
-                let shifted = x * std::$t::consts::LOG2_E + $round;
+                let shifted = x.mul_add(std::$t::consts::LOG2_E, $round);
                 let k = shifted - $round;
-                let r = (x - k * $high) - k * $low;
+                let r = k.mul_add(-$low, k.mul_add(-$high, x));
                 let terms = $exp;
                 let mut sum = terms[0];
                 for term in &terms[1..] {
-                    sum = sum * r + term;
+                    sum = sum.mul_add(r, *term);
                 }
-                let fraction = (sum * r) * r + r;
+                let fraction = (sum * r).mul_add(r, r);
                 let integer = shifted.to_bits().wrapping_sub(($round as $t).to_bits());
                 let power = $t::from_bits(integer.wrapping_add($bias) << $mantissa);
-                power * fraction + (power - 1.0)
+                power.mul_add(fraction, power - 1.0)
             }
 
             fn step(
@@ -193,20 +222,24 @@ macro_rules! real {
     };
 }
 
-// Taylor series from the last term on: atanh(s)/s = 1 + z/3 + z^2/5 ..., (exp(r) - 1 - r)/r^2 = 1/2 + r/6 + ... with
-// |r| <= ln 2 / 2; ln 2 in two parts, of which the first times a small integer is exact (Cody & Waite 1980)
+// Taylor series from the last term on: atanh(s)/s = 1 + z/3 + z^2/5 ..., (cosh(x) - 1)/z = 1/2 + z/24 + ...,
+// sinh(x)/x = 1 + z/6 + ..., (exp(r) - 1 - r)/r^2 = 1/2 + r/6 + ... with |r| <= ln 2 / 2; ln 2 in two parts, of which the first times a small integer is exact (Cody & Waite 1980)
 real!(
-    f32, f32x4, i32, 23, 127, 12_582_912.0, 4,
+    f32, wide::f32x4, i32, 23, 127, 12_582_912.0, 2,
     atanh [1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0],
+    cosh [1.0 / 720.0, 1.0 / 24.0, 0.5],
+    sinh [1.0 / 120.0, 1.0 / 6.0],
     exp [1.0 / 5_040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5],
     ln_2 (355.0 / 512.0, -2.121_944_4e-4),
     step_f32, audit_f32, reduce_f32
 );
 real!(
-    f64, f64x4, i64, 52, 1023, 6_755_399_441_055_744.0, 7,
+    f64, super::vector::Four, i64, 52, 1023, 6_755_399_441_055_744.0, 4,
     atanh [
         1.0 / 21.0, 1.0 / 19.0, 1.0 / 17.0, 1.0 / 15.0, 1.0 / 13.0, 1.0 / 11.0, 1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0
     ],
+    cosh [1.0 / 479_001_600.0, 1.0 / 3_628_800.0, 1.0 / 40_320.0, 1.0 / 720.0, 1.0 / 24.0, 0.5],
+    sinh [1.0 / 6_227_020_800.0, 1.0 / 39_916_800.0, 1.0 / 362_880.0, 1.0 / 5_040.0, 1.0 / 120.0, 1.0 / 6.0],
     exp [
         1.0 / 6_227_020_800.0, 1.0 / 479_001_600.0, 1.0 / 39_916_800.0, 1.0 / 3_628_800.0, 1.0 / 362_880.0, 1.0 / 40_320.0,
         1.0 / 5_040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5
@@ -250,6 +283,24 @@ mod tests {
             assert!(error < 4e-15, "{range:?}: {error:e}");
         }
         assert_eq!(Real::exp_m1(1e9_f64), Real::exp_m1(80.0_f64));
+    }
+
+    #[test]
+    fn series_agree_with_the_platform() {
+        let cosh_m1 = |x: f64| 2.0 * (0.5 * x).sinh().powi(2);
+        for range in [1e-9..1e-3, 1e-3..NEAR.sqrt().atanh()] {
+            let error = worst(range.clone(), |x| Real::cosh_m1_and_sinh_ratio(x * x).0, cosh_m1);
+            assert!(error < 2e-15, "{range:?}: {error:e}");
+            let error = worst(range.clone(), |x| Real::cosh_m1_and_sinh_ratio(x * x).1, |x| x.sinh() / x);
+            assert!(error < 2e-15, "{range:?}: {error:e}");
+            let error = worst(range.clone(), |x| f64::from(Real::cosh_m1_and_sinh_ratio((x * x) as f32).0), cosh_m1);
+            assert!(error < 6e-7, "{range:?}: {error:e}");
+            let sinh_ratio = |x| f64::from(Real::cosh_m1_and_sinh_ratio((x * x) as f32).1);
+            let error = worst(range.clone(), sinh_ratio, |x| x.sinh() / x);
+            assert!(error < 6e-7, "{range:?}: {error:e}");
+            let error = worst(range.start..NEAR.sqrt(), |x| Real::atanh_ratio(x * x), |x| x.atanh() / x);
+            assert!(error < 2e-15, "{range:?}: {error:e}");
+        }
     }
 
     #[test]

@@ -8,7 +8,10 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::lanes::{Real, max, sinh};
+use super::{
+    lanes::{Real, max, min, sinh},
+    particles::{GROUP, GROUPS},
+};
 
 /// How a stress outside the yield surface comes back to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -171,23 +174,68 @@ pub(super) struct Material<T> {
     /// Half-axis and centre of the yield surface along p, over p0: `(1 + beta) / 2`, `(1 - beta) / 2`.
     pub(super) half_axis: T,
     pub(super) centre: T,
-    /// `q / M * sqrt(1 + 2 beta)` of a unit of `d`: the half-axis along q over that along p taken out.
+    /// `q / M * sqrt(1 + 2 beta)` of a unit of `d`: the half-axis along q over that along p taken out. And its square.
     pub(super) shear_of_strain: T,
+    pub(super) shear_of_strain_2: T,
     /// `A / B` of the secular equation of the return, and its inverse.
     pub(super) ratio: T,
     pub(super) ratio_inverse: T,
     pub(super) rule: FlowRule,
 }
 
-/// The plastic return of one stress.
+/// Trial stresses outside of the yield surface, as elastic strains with the strength that they meet.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Trial<T> {
+    pub(super) volumetric: [T; GROUP],
+    /// Half the difference of the principal strains.
+    pub(super) deviatoric: [T; GROUP],
+    pub(super) strength: [T; GROUP],
+    /// Volumetric plastic strain.
+    pub(super) plastic_strain: [T; GROUP],
+}
+
+/// Their plastic returns.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Returned<T> {
     /// Elastic volumetric strain after the return.
-    pub(super) volumetric: T,
+    pub(super) volumetric: [T; GROUP],
     /// What remains of the deviatoric strain, from 0 to 1.
-    pub(super) shear: T,
+    pub(super) shear: [T; GROUP],
     /// By how much the volumetric plastic strain grows.
-    pub(super) plastic: T,
+    pub(super) plastic: [T; GROUP],
+}
+
+/// The equation of the closest point, `P / (1 + t)^2 + Q / (1 + k t)^2 = 1`, scaled so that `P` and `Q` are at most 1 and
+/// their sum is at least 1: its root is small and not negative.
+#[derive(Clone, Copy, Debug)]
+struct Secular<T> {
+    /// `p` over its scale; `P` is its square.
+    p: [T; GROUP],
+    q_2: [T; GROUP],
+    k: [T; GROUP],
+    /// The half-axis of the yield surface along p over the scales of `p` and `q`.
+    shrink_p: [T; GROUP],
+    shrink_q: [T; GROUP],
+    t: [T; GROUP],
+}
+
+/// Room for the returns of a block.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Returns<T> {
+    pub(super) trials: [Trial<T>; GROUPS],
+    secular: [Secular<T>; GROUPS],
+    pub(super) returned: [Returned<T>; GROUPS],
+}
+
+impl<T: Real> Returns<T> {
+    pub(super) fn new() -> Self {
+        let zero = [T::of(0.0); GROUP];
+        Self {
+            trials: [Trial { volumetric: zero, deviatoric: zero, strength: zero, plastic_strain: zero }; GROUPS],
+            secular: [Secular { p: zero, q_2: zero, k: zero, shrink_p: zero, shrink_q: zero, t: zero }; GROUPS],
+            returned: [Returned { volumetric: zero, shear: zero, plastic: zero }; GROUPS],
+        }
+    }
 }
 
 impl<T: Real> Material<T> {
@@ -198,6 +246,7 @@ impl<T: Real> Material<T> {
         let (m, beta, c) = (snow.friction, snow.cohesion, norm.factor());
         let widening = 1.0 + 2.0 * beta;
         let ratio = 2.0 * mu * c * c * widening / (bulk * m * m);
+        let shear_of_strain = c * 2.0 * std::f64::consts::SQRT_2 * mu * scale * widening.sqrt() / m;
         Self {
             shear_2: T::of(2.0 * mu * scale),
             bulk: T::of(bulk * scale),
@@ -206,7 +255,8 @@ impl<T: Real> Material<T> {
             weakest: T::of(1e-9 * bulk * scale),
             half_axis: T::of(0.5 * (1.0 + beta)),
             centre: T::of(0.5 * (1.0 - beta)),
-            shear_of_strain: T::of(c * 2.0 * std::f64::consts::SQRT_2 * mu * scale * widening.sqrt() / m),
+            shear_of_strain: T::of(shear_of_strain),
+            shear_of_strain_2: T::of(shear_of_strain * shear_of_strain),
             ratio: T::of(ratio),
             ratio_inverse: T::of(1.0 / ratio),
             rule,
@@ -219,87 +269,114 @@ impl<T: Real> Material<T> {
         self.bulk * sinh(self.hardening * max(-plastic_strain, T::of(0.0)))
     }
 
-    /// `((p - p_c)^2 + (q sqrt(1 + 2 beta) / M)^2 - r^2` of elastic strains: above 0 outside of the yield surface.
+    /// `(p - p_c)^2 + (q sqrt(1 + 2 beta) / M)^2 - r^2` of elastic strains, the square of the deviatoric one: above 0 outside
+    /// of the yield surface.
     #[inline(always)]
-    pub(super) fn yielding(&self, volumetric: T, deviatoric: T, strength: T) -> T {
-        let p = -(self.bulk * volumetric) - self.centre * strength;
-        let (q, r) = (self.shear_of_strain * deviatoric, self.half_axis * strength);
-        p * p + (q * q - r * r)
+    pub(super) fn yielding(&self, volumetric: T, deviatoric_2: T, strength: T) -> T {
+        let p = self.bulk.mul_add(volumetric, self.centre * strength);
+        let r = self.half_axis * strength;
+        p.mul_add(p, self.shear_of_strain_2.mul_add(deviatoric_2, -(r * r)))
     }
 
-    /// `p` and `q` with the centre of the yield surface at 0 and its half-axes 1; and its half-axis along p and centre.
+    /// The returns of the first `count` groups of trial stresses.
     #[inline(always)]
-    fn normalised(&self, volumetric: T, deviatoric: T, strength: T) -> (T, T, T, T) {
-        let strength = max(strength, self.weakest);
-        let (half_axis, centre) = (self.half_axis * strength, self.centre * strength);
-        let inverse = T::of(1.0) / half_axis;
-        let p = (-(self.bulk * volumetric) - centre) * inverse;
-        (p, self.shear_of_strain * deviatoric * inverse, half_axis, centre)
+    pub(super) fn back(&self, returns: &mut Returns<T>, count: usize) {
+        let count = count.min(GROUPS);
+        let Returns { trials, returned, .. } = returns;
+        match self.rule {
+            FlowRule::Associative => self.closest(returns, count),
+            FlowRule::AssociativeImplicit => {
+                for group in 0..count {
+                    self.implicit(&trials[group], &mut returned[group]);
+                }
+            }
+            FlowRule::Nacc => {
+                for group in 0..count {
+                    self.nacc(&trials[group], &mut returned[group]);
+                }
+            }
+        }
     }
 
     /// Stress-free where there is no strength, else the closest point; for stresses outside of the yield surface.
     ///
-    /// With `x = B D` of `X / (1 + A D)^2 + Y / (1 + B D)^2 = f` it solves `1 - 1 / sqrt f = 0` by Newton, which is nearly
-    /// linear in `x`, from a lower bound of the root: where either term alone is 1.
+    /// With `x = B D` of `X / (1 + A D)^2 + Y / (1 + B D)^2 = f`, a lower bound of the root is where either term alone is 1;
+    /// from there on `1 - 1 / sqrt f = 0`, which is nearly linear, is solved by Halley's method. All groups take each step
+    /// before the next one: the processor has them in work together.
     #[inline(always)]
-    pub(super) fn closest<const N: usize>(
-        &self,
-        volumetric: &[T; N],
-        deviatoric: &[T; N],
-        strength: &[T; N],
-    ) -> [Returned<T>; N] {
-        let (zero, one) = (T::of(0.0), T::of(1.0));
-        let (mut p, mut q, mut p2, mut q2, mut x) = ([zero; N], [zero; N], [zero; N], [zero; N], [zero; N]);
-        for k in 0..N {
-            (p[k], q[k], _, _) = self.normalised(volumetric[k], deviatoric[k], strength[k]);
-            (p2[k], q2[k]) = (p[k] * p[k], q[k] * q[k]);
-            x[k] = max(max(max(p[k], -p[k]) - one, (q[k] - one) * self.ratio_inverse), zero);
+    fn closest(&self, returns: &mut Returns<T>, count: usize) {
+        let Returns { trials, secular, returned } = returns;
+        for group in 0..count {
+            self.scale(&trials[group], &mut secular[group]);
         }
-        for _ in 0..T::NEWTON_STEPS {
-            for k in 0..N {
-                let (a, b) = (one + x[k], self.ratio * x[k] + one);
-                let inverse = one / (a * b);
-                let (u, w) = (inverse * b, inverse * a);
-                let (pu, qw) = (p2[k] * (u * u), q2[k] * (w * w));
-                let f = pu + qw;
-                let slope = pu * u + self.ratio * (qw * w);
-                x[k] = max((f / slope) * (f.sqrt() - one) + x[k], zero);
+        for _ in 0..T::RETURN_STEPS {
+            for secular in &mut secular[..count] {
+                secular.halley();
             }
         }
-        let mut out = [Returned { volumetric: zero, shear: zero, plastic: zero }; N];
-        for k in 0..N {
-            let (_, _, half_axis, centre) = self.normalised(volumetric[k], deviatoric[k], strength[k]);
-            let (a, b) = (one + x[k], self.ratio * x[k] + one);
-            let inverse = one / (a * b);
-            let (pu, w) = (p[k] * (inverse * b), inverse * a);
-            let qw = q[k] * w;
-            // the last error of Newton's is taken out along the radius: the result lies on the surface
-            let onto = one / (pu * pu + qw * qw).sqrt();
-            let strong = strength[k] > self.weakest;
-            let elastic = -((half_axis * (pu * onto) + centre) * self.bulk_inverse);
-            let elastic = if strong { elastic } else { zero };
-            out[k] = Returned {
-                volumetric: elastic,
-                shear: if strong { w * onto } else { zero },
-                plastic: volumetric[k] - elastic,
-            };
+        for group in 0..count {
+            self.descend(&trials[group], &secular[group], &mut returned[group]);
         }
-        out
     }
 
-    /// The return of Wolper et al. (2019), for stresses outside of the yield surface.
+    /// The secular equation of trial stresses.
     #[inline(always)]
-    pub(super) fn nacc<const N: usize>(
-        &self,
-        volumetric: &[T; N],
-        deviatoric: &[T; N],
-        strength: &[T; N],
-    ) -> [Returned<T>; N] {
+    fn scale(&self, trial: &Trial<T>, secular: &mut Secular<T>) {
+        for k in 0..GROUP {
+            let strength = max(trial.strength[k], self.weakest);
+            let half_axis = self.half_axis * strength;
+            let p = -self.bulk.mul_add(trial.volumetric[k], self.centre * strength);
+            let q = self.shear_of_strain * trial.deviatoric[k];
+            // both terms at the lower bound of the root
+            let along = max(max(p, -p), (q - half_axis).mul_add(self.ratio_inverse, half_axis));
+            let along = max(along, half_axis);
+            let across = (along - half_axis).mul_add(self.ratio, half_axis);
+            let inverse = T::of(1.0) / (along * across);
+            let (of_along, of_across) = (inverse * across, inverse * along);
+            let q = q * of_across;
+            secular.p[k] = p * of_along;
+            secular.q_2[k] = q * q;
+            secular.k[k] = self.ratio * (along * of_across);
+            secular.shrink_p[k] = half_axis * of_along;
+            secular.shrink_q[k] = half_axis * of_across;
+            secular.t[k] = T::of(0.0);
+        }
+    }
+
+    /// What the returned strains are at the root.
+    #[inline(always)]
+    fn descend(&self, trial: &Trial<T>, secular: &Secular<T>, out: &mut Returned<T>) {
         let (zero, one) = (T::of(0.0), T::of(1.0));
-        let mut out = [Returned { volumetric: zero, shear: zero, plastic: zero }; N];
-        for k in 0..N {
-            let (p, q, half_axis, centre) = self.normalised(volumetric[k], deviatoric[k], strength[k]);
-            let strong = strength[k] > self.weakest;
+        for k in 0..GROUP {
+            let (a, b) = (one + secular.t[k], secular.k[k].mul_add(secular.t[k], one));
+            let p = secular.p[k] * b;
+            // the last error of the root is taken out along the radius: the result lies on the surface
+            let onto = one / (p * p + secular.q_2[k] * (a * a)).sqrt();
+            let strength = trial.strength[k];
+            let strong = strength > self.weakest;
+            let elastic = -((self.half_axis * strength).mul_add(p * onto, self.centre * strength) * self.bulk_inverse);
+            out.volumetric[k] = if strong { elastic } else { zero };
+            out.shear[k] = if strong { min(a * onto * secular.shrink_q[k], one) } else { zero };
+            // not a difference of strains, whose sign rounding might turn: the stress comes nearer to the centre
+            let nearer = max(one - b * onto * secular.shrink_p[k], zero);
+            let plastic = nearer * self.bulk.mul_add(trial.volumetric[k], self.centre * strength) * self.bulk_inverse;
+            out.plastic[k] = if strong { plastic } else { trial.volumetric[k] };
+        }
+    }
+
+    /// The return of Wolper et al. (2019), for stresses outside of the yield surface. The volumetric plastic strain does not
+    /// grow by what the elastic one loses.
+    #[inline(always)]
+    fn nacc(&self, trial: &Trial<T>, out: &mut Returned<T>) {
+        let (zero, one) = (T::of(0.0), T::of(1.0));
+        for k in 0..GROUP {
+            let strength = max(trial.strength[k], self.weakest);
+            let strong = trial.strength[k] > self.weakest;
+            // with the centre of the yield surface at 0 and its half-axes 1
+            let (half_axis, centre) = (self.half_axis * strength, self.centre * strength);
+            let inverse = one / half_axis;
+            let p = (-(self.bulk * trial.volumetric[k]) - centre) * inverse;
+            let q = self.shear_of_strain * trial.deviatoric[k] * inverse;
             let beyond = p * p >= one;
             let end = if p > zero { one } else { -one };
             // at the same pressure down to the surface, the strain below it scaled likewise
@@ -308,13 +385,34 @@ impl<T: Real> Material<T> {
             let radius = (p * p + q * q).sqrt();
             let p_hardening = if beyond { end } else { p / radius };
             let strain = |p: T| -((half_axis * p + centre) * self.bulk_inverse);
-            let same = if beyond { strain(p_new) } else { volumetric[k] };
-            out[k] = Returned {
-                volumetric: if strong { same } else { zero },
-                shear: if strong { shear } else { zero },
-                plastic: volumetric[k] - if strong { strain(p_hardening) } else { zero },
-            };
+            let same = if beyond { strain(p_new) } else { trial.volumetric[k] };
+            out.volumetric[k] = if strong { same } else { zero };
+            out.shear[k] = if strong { shear } else { zero };
+            out.plastic[k] = trial.volumetric[k] - if strong { strain(p_hardening) } else { zero };
         }
-        out
+    }
+}
+
+impl<T: Real> Secular<T> {
+    /// One step of Halley's on `1 - 1 / sqrt f`. With `D = (1 + t) (1 + k t)` and `f = N / D^2`, the slope of `f` is
+    /// `-2 S / D^3` and its curvature `6 C / D^4`; all of it over one denominator, which cannot vanish.
+    #[inline(always)]
+    fn halley(&mut self) {
+        for k in 0..GROUP {
+            let (ratio, t) = (self.k[k], self.t[k]);
+            let (a, b) = (T::of(1.0) + t, ratio.mul_add(t, T::of(1.0)));
+            let (p, q) = (self.p[k] * b, self.q_2[k] * a * a);
+            let p = p * p;
+            let n = p + q;
+            let (p, q) = (p * b, ratio * (q * a));
+            let slope = p + q;
+            let curvature = p.mul_add(b, q * (ratio * a));
+            let d = a * b;
+            let excess = n.sqrt() - d;
+            let slope_2 = slope * slope;
+            let bend = T::of(1.5) * excess * curvature.mul_add(n, -slope_2);
+            let step = n * slope * (d * excess) / slope_2.mul_add(d, -bend);
+            self.t[k] = max(t + step, T::of(0.0));
+        }
     }
 }

@@ -7,6 +7,9 @@ use super::lanes::Real;
 
 /// Particles of a block.
 pub(super) const BLOCK: usize = 64;
+/// Particles that go through the plastic return together, and how many such groups a block has.
+pub(super) const GROUP: usize = 16;
+pub(super) const GROUPS: usize = BLOCK / GROUP;
 
 /// Where the particles of a block are.
 #[derive(Clone, Copy, Debug)]

@@ -8,7 +8,7 @@ use uuid::Uuid;
 use super::{children, history, outputs, rows::JobRow, step};
 use crate::{
     domain::job::{Event, Exception, Job, Report, Spent, Status},
-    store::{Result, Store, StoreError, models, models::NewModel, parse_timestamp, to_json},
+    store::{Result, Store, StoreError, datasets, jobs::Kept, models, parse_timestamp, selections, to_json},
 };
 
 /// What became of the wish to take a job.
@@ -121,7 +121,7 @@ impl Store {
             "UPDATE job SET status = ?2, attempt = attempt + 1, lost = ?3, worker = ?4, lease_until_ms = ?5,
                  progress = coalesce((SELECT progress FROM job_checkpoint WHERE job_checkpoint.job = job.id), 0),
                  phase = NULL, rate = NULL, rate_unit = NULL, eta_seconds = NULL,
-                 started = coalesce(started, ?6), updated = ?6, claimed_ms = ?7
+                 started = coalesce(started, ?6), updated = ?6, claimed_ms = ?7, version = ?8
              WHERE id = ?1 RETURNING *",
         )
         .bind(id.to_string())
@@ -131,6 +131,8 @@ impl Store {
         .bind(after(now, lease))
         .bind(now.to_string())
         .bind(now.as_millisecond())
+        // of the firn that computes it, which an upgrade may have changed since it was accepted
+        .bind(env!("CARGO_PKG_VERSION"))
         .fetch_one(&mut *tx)
         .await?
         .0;
@@ -246,6 +248,22 @@ impl Store {
         Ok(())
     }
 
+    /// Notes what an attempt computes from, where that is no more what it was when the job was accepted.
+    ///
+    /// # Errors
+    /// [`StoreError::Fenced`] where the attempt counts no more: then nothing is written.
+    pub async fn set_input_hash(&self, id: Uuid, attempt: u32, input_hash: &str) -> Result<()> {
+        let mut tx = self.begin().await?;
+        fence(&mut tx, id, attempt).await?;
+        sqlx::query("UPDATE job SET input_hash = ? WHERE id = ?")
+            .bind(input_hash)
+            .bind(id.to_string())
+            .execute(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        Ok(())
+    }
+
     /// Ends an attempt with its outcome, and keeps a model in the same transaction: one is not there without the other.
     ///
     /// # Errors
@@ -255,7 +273,7 @@ impl Store {
         id: Uuid,
         attempt: u32,
         outcome: Outcome,
-        keep: Option<&NewModel>,
+        keep: Option<&Kept>,
         spent: Spent,
         now: Timestamp,
     ) -> Result<Ended> {
@@ -269,9 +287,21 @@ impl Store {
                 fail(&mut tx, id, &exception, now).await?
             }
             Outcome::Successful { mut results, outputs } => {
-                if let Some(model) = keep {
-                    let activated = models::insert(&mut tx, model, now).await?;
-                    let mut document = serde_json::json!({"model_id": model.record.id, "activated": activated});
+                if let Some(kept) = keep {
+                    let mut document = match kept {
+                        Kept::Model(model) => {
+                            let activated = models::insert(&mut tx, model, now).await?;
+                            serde_json::json!({"model_id": model.record.id, "activated": activated})
+                        }
+                        Kept::Dataset(dataset) => {
+                            datasets::insert(&mut tx, dataset).await?;
+                            serde_json::json!({"dataset_id": dataset.id})
+                        }
+                        Kept::Selection(selection) => {
+                            selections::insert(&mut tx, selection, now).await?;
+                            serde_json::json!({})
+                        }
+                    };
                     if let (Some(document), serde_json::Value::Object(rest)) = (document.as_object_mut(), results) {
                         document.extend(rest);
                     }

@@ -19,8 +19,22 @@ pub use idempotency::{Answer, Held, Reservation};
 pub use outputs::OutputRecord;
 use rows::JobRow;
 
-use super::{Result, Store, StoreError, to_json};
-use crate::domain::job::{Event, Job, Status};
+use super::{Result, Store, StoreError, models::NewModel, selections::NewSelection, to_json};
+use crate::domain::{
+    dataset::Dataset,
+    job::{Event, Job, Status},
+};
+
+/// What is kept beside a job, in the transaction that ends it.
+#[derive(Clone, Debug)]
+pub enum Kept {
+    /// A trained model.
+    Model(Box<NewModel>),
+    /// A data set, whose columns are one of the outputs.
+    Dataset(Box<Dataset>),
+    /// What a feature elimination found.
+    Selection(Box<NewSelection>),
+}
 
 /// Which jobs a list shows.
 #[derive(Clone, Debug, Default)]

@@ -48,11 +48,12 @@ pub(super) async fn insert(tx: &mut Transaction<'_, Sqlite>, job: Uuid, outputs:
     Ok(())
 }
 
-/// Digests that only this job and its children name: theirs go when the job goes.
+/// Digests that only this job and its children name: theirs go when the job goes. What a data set is made of stays.
 pub(super) async fn only_of(tx: &mut Transaction<'_, Sqlite>, job: Uuid) -> Result<Vec<String>> {
     let sql = "WITH named AS (SELECT job, sha256 FROM job_output UNION SELECT job, sha256 FROM job_piece)
                SELECT sha256 FROM named WHERE job IN (SELECT id FROM job WHERE id = ?1 OR parent = ?1)
-               EXCEPT SELECT sha256 FROM named WHERE job NOT IN (SELECT id FROM job WHERE id = ?1 OR parent = ?1)";
+               EXCEPT SELECT sha256 FROM named WHERE job NOT IN (SELECT id FROM job WHERE id = ?1 OR parent = ?1)
+               EXCEPT SELECT sha256 FROM dataset";
     Ok(sqlx::query_scalar(sql).bind(job.to_string()).fetch_all(&mut **tx).await?)
 }
 

@@ -55,6 +55,11 @@ impl Serving {
         Self { child, address, client }
     }
 
+    /// Where it listens.
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
     pub fn call(&self, method: Method, path: &str) -> Call {
         Call(self.client.request(method, format!("http://{}{path}", self.address)))
     }

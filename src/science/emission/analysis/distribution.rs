@@ -240,9 +240,26 @@ pub fn fit_sample(
     })
 }
 
-fn density(sample: &Sample) -> Vec<DensityPoint> {
+/// The density of a sample in bins of equal ratio: five a decade, or whole levels of about 2 dB where decibels were rounded.
+#[must_use]
+pub fn density(sample: &Sample) -> Vec<DensityPoint> {
     let levels = match sample {
-        Sample::Exact(values) => return log_density(values, 5),
+        Sample::Exact(values) => {
+            let mut density = log_density(values, 5);
+            // the floor cuts through the lowest bin: the part of it that is below can hold nothing
+            if let (Some(lowest), Some(&smallest)) = (density.first_mut(), values.first())
+                && (lowest.from..lowest.to).contains(&smallest)
+            {
+                let share = (lowest.to - lowest.from) / (lowest.to - smallest);
+                *lowest = DensityPoint {
+                    from: smallest,
+                    density: lowest.density * share,
+                    error: lowest.error * share,
+                    ..*lowest
+                };
+            }
+            return density;
+        }
         Sample::Rounded(levels) => levels,
     };
     // whole levels a bin, about 2 dB

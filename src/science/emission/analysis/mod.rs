@@ -1,5 +1,6 @@
 //! The twelve analyses as one list of requests: what a service or a command hands in, and what it gets back.
 
+pub mod compare;
 mod distribution;
 mod phases;
 mod requests;
@@ -10,7 +11,7 @@ mod tests;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-pub use distribution::{CurvePoint, DistributionResult, EnergyConsistency, Fit, fit_sample};
+pub use distribution::{CurvePoint, DistributionResult, EnergyConsistency, Fit, density, fit_sample};
 pub use phases::{Difference, PhaseComparison, PhaseSummary};
 pub use requests::{
     ActivityOptions, CalibrationOptions, DistributionOptions, MapOptions, ModelChoice, PhaseOptions, ValidationOptions,
@@ -216,7 +217,7 @@ fn analyse(
         Request::EnergyDistribution(options) => {
             Outcome::EnergyDistribution(distribution::energies(catalogue, options, seed, progress)?)
         }
-        Request::DurationScaling(options) => Outcome::DurationScaling(durations(catalogue, options, seed)?),
+        Request::DurationScaling(options) => Outcome::DurationScaling(durations(catalogue, options, seed, progress)?),
         Request::CorrelationIntegral(options) => {
             let (positions, _) = catalogue.positions(kind)?;
             let grain = catalogue.metadata.grain_size_mm.map(|size| size * 1e-3);
@@ -226,12 +227,12 @@ fn analyse(
         }
         Request::WaitingTimes(options) => {
             let times = catalogue.require(Column::TimeS, kind)?;
-            let thresholds = waiting_times(times, &catalogue.amplitudes_v(kind)?, &options.thresholds_v)?;
+            let thresholds = waiting_times(times, &catalogue.amplitudes_v(kind)?, &options.thresholds_v, progress)?;
             Outcome::WaitingTimes(WaitingResult { thresholds })
         }
         Request::Aftershocks(options) => {
             let times = catalogue.require(Column::TimeS, kind)?;
-            Outcome::Aftershocks(aftershocks(times, &catalogue.amplitudes_v(kind)?, options)?)
+            Outcome::Aftershocks(aftershocks(times, &catalogue.amplitudes_v(kind)?, options, progress)?)
         }
         Request::Activity(options) => {
             let (column, against) = requests::abscissa(catalogue, options.against)?;
@@ -247,7 +248,7 @@ fn analyse(
             let chosen = distribution::choose(&sample, fit)?;
             Outcome::MonteCarloValidation(validate(&chosen.tail, &chosen.fitted, options.replicates, seed, progress)?)
         }
-        Request::SourceModel(options) => Outcome::SourceModel(source_model::invert(catalogue, options)?),
+        Request::SourceModel(options) => Outcome::SourceModel(source_model::invert(catalogue, options, progress)?),
         Request::Calibration(options) => Outcome::Calibration(calibrate(&options.breaks)?),
         Request::PhaseComparison(options) => {
             Outcome::PhaseComparison(Box::new(phases::compare(catalogue, options, seed, progress)?))
@@ -264,11 +265,12 @@ pub(super) fn durations(
     catalogue: &Catalogue,
     options: &DurationOptions,
     seed: u64,
+    progress: &dyn Progress,
 ) -> Result<DurationScaling, EmissionError> {
     const KIND: &str = "duration_scaling";
     let durations = catalogue.require(Column::DurationUs, KIND)?;
     let options = DurationOptions { threshold_v: options.threshold_v.or(catalogue.metadata.threshold_v), ..*options };
-    duration_scaling(&catalogue.amplitudes_v(KIND)?, durations, &options, seed)
+    duration_scaling(&catalogue.amplitudes_v(KIND)?, durations, &options, seed, progress)
 }
 
 fn map(

@@ -125,7 +125,7 @@ fn summary(
     });
     let waiting = catalogue.column(Column::TimeS).and_then(|times| {
         let amplitudes = catalogue.amplitudes_v("phase_comparison").ok()?;
-        waiting_times(times, &amplitudes, &[0.0]).ok()?.into_iter().next()
+        waiting_times(times, &amplitudes, &[0.0], progress).ok()?.into_iter().next()
     });
     if progress.cancelled() {
         return Err(EmissionError::Cancelled);
@@ -135,7 +135,7 @@ fn summary(
         events: catalogue.len(),
         fit: result.fit,
         parameters: result.parameters,
-        duration: durations(catalogue, &options.duration, seed).ok(),
+        duration: durations(catalogue, &options.duration, seed, progress).ok(),
         dimension: dimension.map(|found| [found.dimension, found.dimension_se]),
         waiting,
     })

@@ -2,13 +2,15 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Request;
+use super::{Request, source_model};
 use crate::emission::activity::Abscissa;
 use crate::emission::calibration::{LeadBreak, calibrate};
 use crate::emission::catalogue::{Catalogue, Column};
+use crate::emission::correlation;
 use crate::emission::duration::DurationOptions;
 use crate::emission::error::{EmissionError, positive};
 use crate::emission::tails::{KsConvention, Model, Rounding};
+use crate::emission::waiting;
 
 /// Which model to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -192,26 +194,44 @@ pub(super) fn check(catalogue: &Catalogue, request: &Request) -> Result<(), Emis
             .and_then(|()| column(Column::DurationUs))
             .and_then(|()| options.check())
             .and_then(|()| events(20)),
-        Request::CorrelationIntegral(_) => {
+        Request::CorrelationIntegral(options) => {
             let (positions, _) = catalogue.positions(kind)?;
             let (found, needed) = (positions.len(), 50);
-            if found < needed { Err(EmissionError::TooFewEvents { what: kind, found, needed }) } else { Ok(()) }
+            if found < needed {
+                return Err(EmissionError::TooFewEvents { what: kind, found, needed });
+            }
+            correlation::check(&positions, catalogue.metadata.location_error_m, options)
         }
-        Request::WaitingTimes(_) => amplitude().and_then(|()| column(Column::TimeS)).and_then(|()| events(30)),
-        Request::Aftershocks(_) => amplitude().and_then(|()| column(Column::TimeS)).and_then(|()| events(50)),
+        Request::WaitingTimes(options) => {
+            waiting::check(&options.thresholds_v)?;
+            amplitude().and_then(|()| column(Column::TimeS)).and_then(|()| events(30))
+        }
+        Request::Aftershocks(options) => {
+            options.check()?;
+            amplitude().and_then(|()| column(Column::TimeS)).and_then(|()| events(50))
+        }
         Request::Activity(options) => {
+            within("bins", options.bins, 1, 10_000)?;
             amplitude().and_then(|()| abscissa(catalogue, options.against)).and_then(|_| events(20))
         }
         Request::ExponentMap(options) => {
             at_most("replicates", options.replicates, 10_000)?;
-            at_most("range_points", options.range_points, 200)?;
+            within("range_points", options.range_points, 2, 200)?;
+            within("points", options.points, 2, 1000)?;
+            if !matches!(options.model, Model::PowerLaw | Model::BoundedPowerLaw | Model::CutoffPowerLaw) {
+                let accepted = "power_law, bounded_power_law or cutoff_power_law";
+                return Err(EmissionError::option("model", options.model.name(), accepted));
+            }
+            options.db_step.map(|step| positive("db_step", step)).transpose()?;
             amplitude().and_then(|()| events(20))
         }
         Request::MonteCarloValidation(options) => {
-            at_most("replicates", options.replicates, MOST_REPLICATES)?;
+            within("replicates", options.replicates, 2, MOST_REPLICATES)?;
             amplitude().and_then(|()| events(3)).and_then(|()| fit(&options.fit))
         }
-        Request::SourceModel(_) => amplitude().and_then(|()| events(1)),
+        Request::SourceModel(options) => {
+            amplitude().and_then(|()| events(1)).and_then(|()| source_model::check(catalogue, options))
+        }
         Request::Calibration(options) => calibrate(&options.breaks).map(|_| ()),
         Request::PhaseComparison(options) => {
             amplitude().and_then(|()| column(Column::Phase))?;
@@ -224,7 +244,16 @@ fn at_most(option: &'static str, value: usize, most: usize) -> Result<(), Emissi
     if value <= most { Ok(()) } else { Err(EmissionError::option(option, value, format!("at most {most}"))) }
 }
 
-fn fit(options: &DistributionOptions) -> Result<(), EmissionError> {
+fn within(option: &'static str, value: usize, least: usize, most: usize) -> Result<(), EmissionError> {
+    if (least..=most).contains(&value) {
+        Ok(())
+    } else {
+        Err(EmissionError::option(option, value, format!("{least} to {most}")))
+    }
+}
+
+/// Whether the options of a fit can be used.
+pub(super) fn fit(options: &DistributionOptions) -> Result<(), EmissionError> {
     options.xmin.map(|xmin| positive("xmin", xmin)).transpose()?;
     options.xmax.map(|xmax| positive("xmax", xmax)).transpose()?;
     options.db_step.map(|step| positive("db_step", step)).transpose()?;

@@ -8,19 +8,16 @@ use crate::emission::numerics::quantile;
 use crate::emission::source::{
     ICE_SPEEDS_M_PER_S, SourceInversion, SourceModel, SourceOptions, strain_increment, swept_area_m2,
 };
+use crate::progress::Progress;
 
 const KIND: &str = "source_model";
 
-pub(super) fn invert(catalogue: &Catalogue, options: &SourceOptions) -> Result<SourceInversion, EmissionError> {
-    let metadata = &catalogue.metadata;
-    let longitudinal = options.longitudinal_speed_m_per_s.or(metadata.longitudinal_speed_m_per_s);
-    let transverse = options.transverse_speed_m_per_s.or(metadata.transverse_speed_m_per_s);
-    let model = SourceModel::new(
-        longitudinal.unwrap_or(ICE_SPEEDS_M_PER_S.0),
-        transverse.unwrap_or(ICE_SPEEDS_M_PER_S.1),
-        options.density_kg_per_m3,
-        options.burgers_vector_m,
-    )?;
+pub(super) fn invert(
+    catalogue: &Catalogue,
+    options: &SourceOptions,
+    progress: &dyn Progress,
+) -> Result<SourceInversion, EmissionError> {
+    let model = medium(catalogue, options)?;
     let sensitivity = sensitivity(catalogue, options)?;
     let mut amplitude = Vec::new();
     let mut distance = Vec::new();
@@ -50,7 +47,9 @@ pub(super) fn invert(catalogue: &Catalogue, options: &SourceOptions) -> Result<S
     }
     let damping = match options.damping_per_s {
         Some(damping) => Some(positive("damping_per_s", damping)?),
-        None => durations(catalogue, &DurationOptions::default(), 0).ok().map(|scaling| scaling.damping_per_s),
+        None => {
+            durations(catalogue, &DurationOptions::default(), 0, progress).ok().map(|scaling| scaling.damping_per_s)
+        }
     };
     let area: Option<Vec<f64>> = damping.map(|damping| rate.iter().map(|&r| swept_area_m2(r, damping)).collect());
     let volume = options.volume_m3.map(|volume| positive("volume_m3", volume)).transpose()?;
@@ -70,6 +69,33 @@ pub(super) fn invert(catalogue: &Catalogue, options: &SourceOptions) -> Result<S
         swept_area_m2: area.map(summary),
         strain,
     })
+}
+
+/// Whether `catalogue` and `options` hold all that is needed.
+pub(super) fn check(catalogue: &Catalogue, options: &SourceOptions) -> Result<(), EmissionError> {
+    medium(catalogue, options)?;
+    sensitivity(catalogue, options)?;
+    distances(catalogue, options)?;
+    for (name, value) in [
+        ("dislocation_speed_m_per_s", options.dislocation_speed_m_per_s),
+        ("damping_per_s", options.damping_per_s),
+        ("volume_m3", options.volume_m3),
+    ] {
+        value.map(|value| positive(name, value)).transpose()?;
+    }
+    Ok(())
+}
+
+fn medium(catalogue: &Catalogue, options: &SourceOptions) -> Result<SourceModel, EmissionError> {
+    let metadata = &catalogue.metadata;
+    let longitudinal = options.longitudinal_speed_m_per_s.or(metadata.longitudinal_speed_m_per_s);
+    let transverse = options.transverse_speed_m_per_s.or(metadata.transverse_speed_m_per_s);
+    SourceModel::new(
+        longitudinal.unwrap_or(ICE_SPEEDS_M_PER_S.0),
+        transverse.unwrap_or(ICE_SPEEDS_M_PER_S.1),
+        options.density_kg_per_m3,
+        options.burgers_vector_m,
+    )
 }
 
 /// Sensitivity behind the preamplifier, V/Pa.

@@ -215,3 +215,32 @@ fn a_cancelled_run_says_so() {
     let error = run(&polycrystal(), &requests(json!([{"kind": "amplitude_distribution"}])), 1, &Stop).unwrap_err();
     assert_eq!(error.error, EmissionError::Cancelled);
 }
+
+/// Nobody wants the result any more.
+struct Dismissed;
+
+impl crate::progress::Progress for Dismissed {
+    fn report(&self, _: f64, _: &str) {}
+
+    fn cancelled(&self) -> bool {
+        true
+    }
+}
+
+#[test]
+fn durations_waiting_times_and_aftershocks_end_when_they_are_dismissed() {
+    use crate::emission::aftershocks::{AftershockOptions, aftershocks};
+    use crate::emission::duration::{DurationOptions, duration_scaling};
+    use crate::emission::waiting::waiting_times;
+
+    let (catalogue, _) = synthetic(&SyntheticOptions { events: 500, ..Default::default() }, 1).unwrap();
+    let amplitudes = catalogue.amplitudes_v("test").unwrap();
+    let [times, durations] = [Column::TimeS, Column::DurationUs].map(|column| catalogue.column(column).unwrap());
+    let cancelled = Some(EmissionError::Cancelled);
+    assert_eq!(
+        duration_scaling(&amplitudes, durations, &DurationOptions::default(), 1, &Dismissed).err(),
+        cancelled.clone()
+    );
+    assert_eq!(waiting_times(times, &amplitudes, &[], &Dismissed).err(), cancelled.clone());
+    assert_eq!(aftershocks(times, &amplitudes, &AftershockOptions::default(), &Dismissed).err(), cancelled);
+}

@@ -35,14 +35,19 @@ pub struct Sensor {
     /// Number of its channel.
     pub channel: u32,
     /// Position, m.
+    #[cfg_attr(feature = "schema", schema(min_items = 3, max_items = 3))]
     pub position_m: [f64; 3],
     /// Sensitivity, V/Pa at the sensor.
     #[serde(default)]
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
     pub sensitivity_v_per_pa: Option<f64>,
     /// Delay by which its arrival times are late, s.
     #[serde(default)]
     pub delay_s: f64,
 }
+
+/// Nothing is colder, degC.
+const ABSOLUTE_ZERO_C: f64 = -273.15;
 
 /// What is known about a test; what is missing is not known.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -52,8 +57,10 @@ pub struct Metadata {
     /// Material.
     pub material: Option<String>,
     /// Temperature, degC.
+    #[cfg_attr(feature = "schema", schema(minimum = -273.15))]
     pub temperature_c: Option<f64>,
     /// Mean grain size, mm; none for a single crystal.
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
     pub grain_size_mm: Option<f64>,
     /// Applied stress, MPa.
     pub stress_mpa: Option<f64>,
@@ -68,12 +75,16 @@ pub struct Metadata {
     /// Gain of the preamplifier, dB: amplitude_v is behind it, amplitude_db before it.
     pub preamp_gain_db: Option<f64>,
     /// Detection threshold behind the preamplifier, V.
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
     pub threshold_v: Option<f64>,
     /// Standard error of a coordinate of a located event, m.
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
     pub location_error_m: Option<f64>,
     /// Speed of longitudinal waves, m/s.
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
     pub longitudinal_speed_m_per_s: Option<f64>,
     /// Speed of transverse waves, m/s.
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
     pub transverse_speed_m_per_s: Option<f64>,
     /// Sensors.
     pub sensors: Vec<Sensor>,
@@ -104,6 +115,9 @@ impl Metadata {
             if let Some(value) = value.filter(|value| !value.is_finite()) {
                 return Err(EmissionError::option(name, value, "a finite number"));
             }
+        }
+        if let Some(value) = self.temperature_c.filter(|&value| value < ABSOLUTE_ZERO_C) {
+            return Err(EmissionError::option("temperature_c", value, format!("at least {ABSOLUTE_ZERO_C} degC")));
         }
         for sensor in &self.sensors {
             if !(sensor.position_m.iter().all(|c| c.is_finite()) && sensor.delay_s.is_finite()) {

@@ -77,8 +77,55 @@ impl Column {
         }
     }
 
-    /// What is accepted in the column.
-    fn accepts(self) -> (&'static str, fn(f64) -> bool) {
+    /// All columns.
+    pub const ALL: [Self; 15] = [
+        Self::TimeS,
+        Self::AmplitudeV,
+        Self::AmplitudeDb,
+        Self::DurationUs,
+        Self::RiseTimeUs,
+        Self::Counts,
+        Self::EnergyEu,
+        Self::Channel,
+        Self::ThresholdDb,
+        Self::XM,
+        Self::YM,
+        Self::ZM,
+        Self::Strain,
+        Self::StressMpa,
+        Self::Phase,
+    ];
+
+    /// The unit of its values; `1` is a pure number.
+    #[must_use]
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::TimeS => "s",
+            Self::AmplitudeV => "V",
+            Self::AmplitudeDb | Self::ThresholdDb => "dB_AE",
+            Self::DurationUs | Self::RiseTimeUs => "us",
+            Self::EnergyEu => "eu",
+            Self::XM | Self::YM | Self::ZM => "m",
+            Self::StressMpa => "MPa",
+            Self::Counts | Self::Channel | Self::Strain | Self::Phase => "1",
+        }
+    }
+
+    /// The column of that [`Column::name`].
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|column| column.name() == name)
+    }
+
+    /// Whether a value may be missing (NaN): a coordinate, of an event that was not located.
+    #[must_use]
+    pub const fn may_be_missing(self) -> bool {
+        matches!(self, Self::XM | Self::YM | Self::ZM)
+    }
+
+    /// What is accepted in the column, in words and as a rule.
+    #[must_use]
+    pub fn accepts(self) -> (&'static str, fn(f64) -> bool) {
         match self {
             Self::AmplitudeV => ("a finite number above 0", |x| x.is_finite() && x > 0.0),
             Self::XM | Self::YM | Self::ZM => ("a finite number, or none", |x| !x.is_infinite()),
@@ -142,6 +189,12 @@ impl Catalogue {
     #[must_use]
     pub fn column(&self, column: Column) -> Option<&[f64]> {
         self.columns.get(&column).map(Vec::as_slice)
+    }
+
+    /// The columns alone.
+    #[must_use]
+    pub fn into_columns(self) -> BTreeMap<Column, Vec<f64>> {
+        self.columns
     }
 
     /// The columns that are there.

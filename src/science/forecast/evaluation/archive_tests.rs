@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::forecast::day::{DayRecord, Label};
 use crate::forecast::features::{FeatureSet, FeatureSetId, History, archive};
-use crate::forecast::model::train;
+use crate::forecast::model::{FeatureChoice, train};
 use crate::forecast::svm::{Grid, KernelFamily};
 use crate::forecast::verification::ThresholdRule;
 use crate::progress::Unobserved;
@@ -19,6 +19,7 @@ fn options(label: Label, lead: u8) -> TrainingOptions {
         label,
         lead,
         feature_set: FeatureSetId::Expert,
+        features: FeatureChoice::All,
         kernel: KernelFamily::Gaussian,
         reported: archive::REPORTED.to_vec(),
         seed: 1,

@@ -18,7 +18,7 @@ pub const fn seasons_before_chaining(seasons: usize) -> usize {
 ///
 /// `season` and `event` belong to the training rows. Seasons with both classes are dealt first, so that no group holds all the
 /// events, or all the days without, of the training seasons.
-pub(super) fn inner_folds(season: &[usize], event: &[bool]) -> Vec<usize> {
+pub(crate) fn inner_folds(season: &[usize], event: &[bool]) -> Vec<usize> {
     let seasons = season.iter().max().map_or(0, |&last| last + 1);
     let mut classes = vec![(false, false); seasons];
     for (&s, &event) in season.iter().zip(event) {

@@ -1,21 +1,27 @@
 //! Each model on one split: fitted to the training seasons, with probabilities for both sides.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use super::folds::inner_folds;
 use super::per_model::PerModel;
 use super::samples::Samples;
+use super::share::Shares;
 use crate::forecast::baselines::{Climatology, Persistence};
 use crate::forecast::logistic::{self, Logistic};
 use crate::forecast::matrix::Matrix;
-use crate::forecast::model::{TrainingError, TrainingOptions};
+use crate::forecast::model::{FeatureChoice, TrainingError, TrainingOptions};
 use crate::forecast::neighbours::Neighbours;
 use crate::forecast::preparation::Preparation;
-use crate::forecast::svm::{self, Cost, GridPoint, Machine, Platt, SolverOptions};
+use crate::forecast::svm::{self, Cost, Elimination, EliminationRecipe, GridPoint, Machine, Platt, SolverOptions};
 use crate::progress::Progress;
 
 /// Ridge penalties to choose from, per squared standardised weight; the largest first, as each fit starts from the one before.
 const PENALTIES: [f64; 5] = [1000.0, 100.0, 10.0, 1.0, 0.1];
+
+/// Where the fits of an elimination stop. They rank features and score sizes, and no forecast comes from them: LIBSVM's
+/// own tolerance, at which the bench compares the curve with scikit-learn's.
+const ELIMINATION_EPSILON: f64 = 1e-3;
 
 /// Training rows of a split, prepared.
 pub(crate) struct Part<'a> {
@@ -39,11 +45,20 @@ pub(super) struct Probabilities {
 
 /// A machine with all that turns its decision values into a forecast.
 pub(crate) struct FittedSvm {
+    /// Columns that the machine reads, rising.
+    pub(crate) columns: Vec<usize>,
     pub(crate) machine: Machine,
     pub(crate) platt: Platt,
     pub(crate) best: GridPoint,
     /// Probability of each training row, from a machine that did not see its fold.
     pub(crate) out_of_fold: Vec<f64>,
+}
+
+/// An elimination with what it was run with.
+pub(crate) struct Eliminated {
+    pub(crate) elimination: Elimination,
+    /// Cost and gamma of the search on all features.
+    pub(crate) best: GridPoint,
 }
 
 impl<'a> Part<'a> {
@@ -75,8 +90,9 @@ impl<'a> Part<'a> {
         test: &[usize],
         progress: &dyn Progress,
     ) -> Result<PerModel<Probabilities>, TrainingError> {
-        let features = self.preparation.transform(&self.samples.features.select_rows(test));
-        let decision = |i| svm.platt.probability(svm.machine.decision_value(features.row(i)));
+        let features = self.prepare(test);
+        let seen = features.select_columns(&svm.columns);
+        let decision = |i| svm.platt.probability(svm.machine.decision_value(seen.row(i)));
         Ok(PerModel {
             svm: Probabilities { out_of_fold: svm.out_of_fold.clone(), test: (0..test.len()).map(decision).collect() },
             climatology: self.climatology(test),
@@ -87,16 +103,63 @@ impl<'a> Part<'a> {
         })
     }
 
-    /// Grid search over the inner folds, Platt on the out-of-fold decision values of the best point, then one fit to all rows.
+    /// Chooses the features where that is asked for; then a grid search over the inner folds, Platt on the out-of-fold
+    /// decision values of the best point, and one fit to all rows.
     pub(crate) fn svm(&self, options: &TrainingOptions, progress: &dyn Progress) -> Result<FittedSvm, TrainingError> {
-        let solver = SolverOptions::default();
-        let (x, event) = (&self.features, &self.event);
-        let found = svm::grid_search(x, event, &self.fold, options.kernel, &options.grid, &solver, progress)?;
+        let all = self.features.cols();
+        let FeatureChoice::Eliminated { count } = options.features else {
+            return self.svm_of((0..all).collect(), options, progress);
+        };
+        // an elimination costs about what a search does, and a search comes before and after it
+        let shares = Shares::new(progress, vec![1.0, 1.0, 1.0]);
+        let none = Matrix::filled(0, all, 0.0);
+        let chosen = self.eliminate(&none, count, options, &shares, 0)?;
+        self.svm_of(chosen.elimination.kept, options, &shares.part(2, "chosen features".to_owned()))
+    }
+
+    /// Takes features out until `least` are left, with the C and gamma that a search on all of them finds, and scores
+    /// the prepared rows of `held_out` at every size. Reports to the parts `first` and `first + 1` of `shares`.
+    pub(crate) fn eliminate(
+        &self,
+        held_out: &Matrix,
+        least: usize,
+        options: &TrainingOptions,
+        shares: &Shares<'_>,
+        first: usize,
+    ) -> Result<Eliminated, TrainingError> {
+        let (x, event, solver) = (&self.features, &self.event, SolverOptions::default());
+        let share = shares.part(first, "all features".to_owned());
+        let found = svm::grid_search(x, event, &self.fold, options.kernel, &options.grid, &solver, &share)?;
+        let recipe = EliminationRecipe { c: found.best.c, gamma: found.best.gamma.unwrap_or(1.0), least };
+        let solver = SolverOptions { epsilon: ELIMINATION_EPSILON, ..solver };
+        let share = shares.part(first + 1, "elimination".to_owned());
+        let elimination = svm::eliminate(x, event, held_out, &recipe, &solver, &share)?;
+        Ok(Eliminated { elimination, best: found.best })
+    }
+
+    fn svm_of(
+        &self,
+        columns: Vec<usize>,
+        options: &TrainingOptions,
+        progress: &dyn Progress,
+    ) -> Result<FittedSvm, TrainingError> {
+        let (event, solver) = (&self.event, SolverOptions::default());
+        let x = if columns.len() == self.features.cols() {
+            Cow::Borrowed(&self.features)
+        } else {
+            Cow::Owned(self.features.select_columns(&columns))
+        };
+        let found = svm::grid_search(&x, event, &self.fold, options.kernel, &options.grid, &solver, progress)?;
         let platt = svm::fit_platt(&found.decision_values, event)?;
         let kernel = options.kernel.with_gamma(found.best.gamma.unwrap_or(1.0));
-        let machine = svm::train(x, event, kernel, Cost::balanced(found.best.c, event), &solver)?;
+        let machine = svm::train(&x, event, kernel, Cost::balanced(found.best.c, event), &solver)?;
         let out_of_fold = found.decision_values.iter().map(|&f| platt.probability(f)).collect();
-        Ok(FittedSvm { machine, platt, best: found.best, out_of_fold })
+        Ok(FittedSvm { columns, machine, platt, best: found.best, out_of_fold })
+    }
+
+    /// Other rows as the machines of this part read them.
+    pub(crate) fn prepare(&self, rows: &[usize]) -> Matrix {
+        self.preparation.transform(&self.samples.features.select_rows(rows))
     }
 
     fn climatology(&self, test: &[usize]) -> Probabilities {

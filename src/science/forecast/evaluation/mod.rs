@@ -27,10 +27,11 @@ use super::verification::reliability::{ReliabilityBin, bins};
 use super::verification::roc::{RocPoint, curve};
 use super::verification::{Outcome, Scores};
 use crate::progress::Progress;
+pub(crate) use folds::inner_folds;
 use folds::{seasons_before_chaining, seasons_of_each_class};
 pub(crate) use forecasters::Part;
 pub use per_model::PerModel;
-use resume::Done;
+pub(crate) use resume::Done;
 pub(crate) use samples::{Samples, before, is_recorded, variables_read};
 pub(crate) use share::{Share, Shares};
 

@@ -1,53 +1,53 @@
-//! What an interrupted evaluation keeps: the splits that are done.
+//! What an interrupted run of several splits keeps: the splits that are done.
 
 use std::sync::{Mutex, PoisonError};
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use super::{Judged, Samples};
+use super::Samples;
 use crate::{forecast::model::TrainingOptions, progress::Progress};
 
 /// The splits that are done, and what they were done on.
 #[derive(Serialize, Deserialize)]
-struct Saved {
+struct Saved<T> {
     fingerprint: u64,
-    judged: Vec<Option<Judged>>,
+    splits: Vec<Option<T>>,
 }
 
 /// Collects splits as they are done, and offers them to be saved.
-pub(super) struct Done {
+pub(crate) struct Done<T> {
     fingerprint: u64,
-    judged: Mutex<Vec<Option<Judged>>>,
+    splits: Mutex<Vec<Option<T>>>,
 }
 
-impl Done {
-    /// What an earlier attempt at the same evaluation saved, or nothing.
-    pub(super) fn resume(samples: &Samples, options: &TrainingOptions, splits: usize, progress: &dyn Progress) -> Self {
+impl<T: Clone + Serialize + DeserializeOwned> Done<T> {
+    /// What an earlier attempt at the same run saved, or nothing.
+    pub(crate) fn resume(samples: &Samples, options: &TrainingOptions, splits: usize, progress: &dyn Progress) -> Self {
         let fingerprint = fingerprint(samples, options, splits);
-        let saved = progress.resumed().and_then(|bytes| postcard::from_bytes::<Saved>(bytes).ok());
+        let saved = progress.resumed().and_then(|bytes| postcard::from_bytes::<Saved<T>>(bytes).ok());
         // days may have been edited since: what was computed from others is of no use
-        let saved = saved.filter(|saved| saved.fingerprint == fingerprint && saved.judged.len() == splits);
-        let judged = saved.map_or_else(|| (0..splits).map(|_| None).collect(), |saved| saved.judged);
-        Self { fingerprint, judged: Mutex::new(judged) }
+        let saved = saved.filter(|saved| saved.fingerprint == fingerprint && saved.splits.len() == splits);
+        let splits = saved.map_or_else(|| (0..splits).map(|_| None).collect(), |saved| saved.splits);
+        Self { fingerprint, splits: Mutex::new(splits) }
     }
 
     /// The split of that number, where it is done.
-    pub(super) fn get(&self, split: usize) -> Option<Judged> {
-        self.judged.lock().unwrap_or_else(PoisonError::into_inner).get(split).cloned().flatten()
+    pub(crate) fn get(&self, split: usize) -> Option<T> {
+        self.splits.lock().unwrap_or_else(PoisonError::into_inner).get(split).cloned().flatten()
     }
 
     /// Notes that a split is done.
-    pub(super) fn set(&self, split: usize, judged: &Judged, progress: &dyn Progress) {
-        if let Some(place) = self.judged.lock().unwrap_or_else(PoisonError::into_inner).get_mut(split) {
-            *place = Some(judged.clone());
+    pub(crate) fn set(&self, split: usize, done: &T, progress: &dyn Progress) {
+        if let Some(place) = self.splits.lock().unwrap_or_else(PoisonError::into_inner).get_mut(split) {
+            *place = Some(done.clone());
         }
         progress.checkpoint(&|| self.save());
     }
 
     fn save(&self) -> Vec<u8> {
-        let judged = self.judged.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let splits = self.splits.lock().unwrap_or_else(PoisonError::into_inner).clone();
         // numbers and lists always have this form; without it the next attempt begins at the beginning
-        postcard::to_stdvec(&Saved { fingerprint: self.fingerprint, judged }).unwrap_or_default()
+        postcard::to_stdvec(&Saved { fingerprint: self.fingerprint, splits }).unwrap_or_default()
     }
 }
 
@@ -82,7 +82,7 @@ mod tests {
         forecast::{
             day::{DayRecord, Label},
             features::FeatureSetId,
-            model::{TrainingError, TrainingOptions, train},
+            model::{FeatureChoice, TrainingError, TrainingOptions, train},
             svm::{Grid, KernelFamily},
             synthetic::{REPORTED, synthetic_station},
             verification::ThresholdRule,
@@ -132,6 +132,7 @@ mod tests {
             label: Label::Observed,
             lead: 0,
             feature_set: FeatureSetId::Raw30,
+            features: FeatureChoice::All,
             kernel: KernelFamily::Gaussian,
             reported: REPORTED.to_vec(),
             seed: 1,

@@ -84,6 +84,16 @@ impl fmt::Display for FeatureSetId {
 #[error("no feature set is called `{0}`: there are `raw-30` and `expert`")]
 pub struct UnknownFeatureSet(pub String);
 
+/// A name that no feature of a set has, or that is there twice.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("`{name}` is no feature that the set {set} can compute from what the station reports, or it is named twice")]
+pub struct UnknownFeature {
+    /// The name.
+    pub name: String,
+    /// The set.
+    pub set: FeatureSetId,
+}
+
 impl FromStr for FeatureSetId {
     type Err = UnknownFeatureSet;
 
@@ -131,6 +141,20 @@ impl FeatureSet {
         let reported: Vec<_> = Variable::ALL.into_iter().filter(|v| reported.contains(v)).collect();
         let features = catalogue::features(id, &reported);
         Self { id, version: id.version(), reported, features }
+    }
+
+    /// The features of these names, in the order of the set, whatever that of `names`; the variables stay those of the station.
+    ///
+    /// # Errors
+    /// [`UnknownFeature`]: a name that the set does not have, or one that is named twice.
+    pub fn only(&self, names: &[String]) -> Result<Self, UnknownFeature> {
+        for (at, name) in names.iter().enumerate() {
+            if names[..at].contains(name) || !self.features.iter().any(|feature| feature.name == *name) {
+                return Err(UnknownFeature { name: name.clone(), set: self.id });
+            }
+        }
+        let features = self.features.iter().filter(|feature| names.contains(&feature.name)).cloned().collect();
+        Ok(Self { features, reported: self.reported.clone(), ..*self })
     }
 
     /// Names in the order of the columns.

@@ -133,20 +133,6 @@ pub struct SimilarDay {
     pub contribution: f64,
 }
 
-/// What a feature adds to a forecast.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FeatureContribution {
-    /// Name of the feature.
-    pub feature: String,
-    /// Its value in the unit of the feature; `None` where it was missing and took its training median.
-    pub value: Option<f64>,
-    /// That value in standard deviations from its training mean.
-    pub standardised: f64,
-    /// Decision value minus the one with this feature at its training mean: above 0 where the feature speaks for an avalanche
-    /// day. A Gaussian machine is not additive, so these do not add up to the decision value.
-    pub contribution: f64,
-}
-
 /// Why there is no forecast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum ForecastError {
@@ -181,10 +167,13 @@ pub enum ForecastError {
 }
 
 /// A target day as the machine sees it.
-struct Input {
+pub(super) struct Input {
     base_date: Date,
-    raw: Vec<f64>,
-    row: PreparedRow,
+    /// The features of the model.
+    pub(super) set: FeatureSet,
+    /// Their values in their units; NaN is missing.
+    pub(super) raw: Vec<f64>,
+    pub(super) row: PreparedRow,
     missing: Vec<String>,
 }
 
@@ -247,31 +236,18 @@ impl TrainedModel {
         Ok(similar)
     }
 
-    /// What each feature adds to the forecast of `date`, the strongest first.
+    /// The newest day that a forecast of `date` may read.
     ///
     /// # Errors
-    /// As [`TrainedModel::forecast`].
-    pub fn contributions(&self, history: &[DayRecord], date: Date) -> Result<Vec<FeatureContribution>, ForecastError> {
-        let Input { raw, row, .. } = self.input(history, date)?;
-        let all = self.machine.decision_value(&row.values);
-        let mut values = row.values;
-        let mut contributions: Vec<FeatureContribution> = (0..values.len())
-            .map(|j| {
-                let standardised = std::mem::replace(&mut values[j], 0.0);
-                let contribution = all - self.machine.decision_value(&values);
-                values[j] = standardised;
-                let value = raw.get(j).copied().filter(|v| v.is_finite());
-                FeatureContribution { feature: self.features[j].clone(), value, standardised, contribution }
-            })
-            .collect();
-        contributions.sort_by(|a, b| b.contribution.abs().total_cmp(&a.contribution.abs()));
-        Ok(contributions)
+    /// [`ForecastError::NoBaseDay`].
+    pub fn base_date(&self, date: Date) -> Result<Date, ForecastError> {
+        before(date, i32::from(self.lead)).ok_or(ForecastError::NoBaseDay { date, lead: self.lead })
     }
 
-    fn input(&self, history: &[DayRecord], date: Date) -> Result<Input, ForecastError> {
+    pub(super) fn input(&self, history: &[DayRecord], date: Date) -> Result<Input, ForecastError> {
         let history = History::new(history)?;
         let set = self.feature_set()?;
-        let base_date = before(date, i32::from(self.lead)).ok_or(ForecastError::NoBaseDay { date, lead: self.lead })?;
+        let base_date = self.base_date(date)?;
         let read = variables_read(&set);
         let base = history
             .day(base_date)
@@ -284,15 +260,17 @@ impl TrainedModel {
             row: self.preparation.transform_row(&raw),
             raw,
             missing: absent.map(|v| v.name().to_owned()).collect(),
+            set,
         })
     }
 
     /// The features as they are computed today, which must be those of the training.
     fn feature_set(&self) -> Result<FeatureSet, ForecastError> {
-        let set = FeatureSet::new(self.feature_set, &self.reported);
-        if set.version != self.feature_set_version {
-            return Err(ForecastError::FeatureSetChanged { stored: self.feature_set_version, current: set.version });
+        let all = FeatureSet::new(self.feature_set, &self.reported);
+        if all.version != self.feature_set_version {
+            return Err(ForecastError::FeatureSetChanged { stored: self.feature_set_version, current: all.version });
         }
+        let set = all.only(&self.features).map_err(|_| ForecastError::Damaged)?;
         let fits = set.names() == self.features
             && self.preparation.columns().len() == self.features.len()
             && self.machine.support.iter().all(|row| row.len() == self.features.len())

@@ -7,15 +7,18 @@ use super::day::DayRecord;
 use super::evaluation::{Evaluation, Part, Plan, Samples, Shares, evaluate};
 use crate::progress::Progress;
 
+mod explanation;
 mod forecast;
 mod options;
+mod what_if;
 
+pub use explanation::{Explanation, FeatureContribution, Imputed, METHOD, OutOfRange};
 pub use forecast::{
-    Category, FeatureContribution, Forecast, ForecastError, InputQuality, SimilarDay, SupportDay, TrainedModel,
-    TrainingWindow,
+    Category, Forecast, ForecastError, InputQuality, SimilarDay, SupportDay, TrainedModel, TrainingWindow,
 };
-pub use options::{LONGEST_LEAD, TrainingError, TrainingOptions, TrainingSummary, check};
-use options::{Prepared, prepare};
+pub use options::{FeatureChoice, LONGEST_LEAD, TrainingError, TrainingOptions, TrainingSummary, check};
+pub(crate) use options::{Prepared, prepare};
+pub use what_if::{Change, ResponsePoint, changed};
 
 /// A model and what it is worth.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -60,8 +63,8 @@ fn fit(prepared: &Prepared, options: &TrainingOptions, progress: &dyn Progress) 
         feature_set: set.id,
         feature_set_version: set.version,
         reported: set.reported.clone(),
-        features: set.names().into_iter().map(str::to_owned).collect(),
-        preparation: part.preparation,
+        features: svm.columns.iter().map(|&j| set.features[j].name.clone()).collect(),
+        preparation: part.preparation.select(&svm.columns),
         support: support_days(samples, &svm.machine.support_index),
         machine: svm.machine,
         platt: svm.platt,

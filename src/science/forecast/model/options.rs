@@ -7,9 +7,9 @@ use thiserror::Error;
 use crate::forecast::day::{DayRecord, Label, Variable};
 use crate::forecast::evaluation::Samples;
 use crate::forecast::evaluation::folds::{SEASONS_NEEDED, seasons_of_each_class};
-use crate::forecast::features::{FeatureSet, FeatureSetId, History, HistoryError};
+use crate::forecast::features::{FeatureSet, FeatureSetId, History, HistoryError, UnknownFeature};
 use crate::forecast::logistic::LogisticError;
-use crate::forecast::svm::{CalibrationError, Grid, GridError, KernelFamily, SolverError};
+use crate::forecast::svm::{CalibrationError, EliminationError, Grid, GridError, KernelFamily, SolverError};
 use crate::forecast::verification::ThresholdRule;
 
 /// The longest lead, in days.
@@ -24,6 +24,8 @@ pub struct TrainingOptions {
     pub lead: u8,
     /// Features.
     pub feature_set: FeatureSetId,
+    /// Which of them the machine reads.
+    pub features: FeatureChoice,
     /// Kernel of the SVM.
     pub kernel: KernelFamily,
     /// Variables that the station reports; their order does not matter.
@@ -34,6 +36,21 @@ pub struct TrainingOptions {
     pub grid: Grid,
     /// How thresholds are chosen.
     pub threshold: ThresholdRule,
+}
+
+/// Which features of a set a machine reads. The models beside it read what they always read.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum FeatureChoice {
+    /// All of them.
+    #[default]
+    All,
+    /// Those of these names. Where they were chosen on the days that score the model, its scores are flattered.
+    Named(Vec<String>),
+    /// So many, by recursive elimination on the training days of each split: the choice is judged with the rest.
+    Eliminated {
+        /// Features to keep.
+        count: usize,
+    },
 }
 
 /// What there is to train on.
@@ -68,6 +85,23 @@ pub enum TrainingError {
     /// The station reports nothing that a feature is computed from.
     #[error("no reported variable: at least one, other than the cumulative snow index, is needed")]
     NoVariable,
+    /// A feature that is not in the set.
+    #[error(transparent)]
+    Feature(#[from] UnknownFeature),
+    /// A number of features that cannot be kept.
+    #[error("{count} feature(s) cannot be kept of the {features} of the set: 1 to {features} are accepted")]
+    FeatureCount {
+        /// Features asked for.
+        count: usize,
+        /// Features of the set.
+        features: usize,
+    },
+    /// Features are eliminated for a Gaussian kernel alone.
+    #[error("features are eliminated with a Gaussian kernel only")]
+    EliminationKernel,
+    /// Features could not be eliminated.
+    #[error("feature elimination: {0}")]
+    Elimination(EliminationError),
     /// A cost/loss ratio that no threshold can be.
     #[error("a cost/loss ratio of {ratio} is no threshold: above 0 and below 1 is accepted")]
     CostLoss {
@@ -127,11 +161,20 @@ impl From<GridError> for TrainingError {
     }
 }
 
+impl From<EliminationError> for TrainingError {
+    fn from(error: EliminationError) -> Self {
+        match error {
+            EliminationError::Cancelled => Self::Cancelled,
+            error => Self::Elimination(error),
+        }
+    }
+}
+
 /// What a training run reads.
-pub(super) struct Prepared {
-    pub(super) set: FeatureSet,
-    pub(super) samples: Samples,
-    pub(super) summary: TrainingSummary,
+pub(crate) struct Prepared {
+    pub(crate) set: FeatureSet,
+    pub(crate) samples: Samples,
+    pub(crate) summary: TrainingSummary,
 }
 
 /// Whether a model can be trained on `days` (rising dates, gaps allowed), and what on. It costs milliseconds.
@@ -142,13 +185,31 @@ pub fn check(days: &[DayRecord], options: &TrainingOptions) -> Result<TrainingSu
     prepare(days, options).map(|prepared| prepared.summary)
 }
 
-pub(super) fn prepare(days: &[DayRecord], options: &TrainingOptions) -> Result<Prepared, TrainingError> {
+pub(crate) fn prepare(days: &[DayRecord], options: &TrainingOptions) -> Result<Prepared, TrainingError> {
     check_options(options)?;
     let history = History::new(days)?;
-    let set = FeatureSet::new(options.feature_set, &options.reported);
+    let set = chosen(FeatureSet::new(options.feature_set, &options.reported), options)?;
     let samples = Samples::collect(&history, &set, options.label, options.lead);
     let summary = summarise(&samples)?;
     Ok(Prepared { set, samples, summary })
+}
+
+/// The features that the options leave of a set; what is eliminated goes later.
+fn chosen(set: FeatureSet, options: &TrainingOptions) -> Result<FeatureSet, TrainingError> {
+    match &options.features {
+        FeatureChoice::All => Ok(set),
+        FeatureChoice::Named(names) if names.is_empty() => {
+            Err(TrainingError::FeatureCount { count: 0, features: set.len() })
+        }
+        FeatureChoice::Named(names) => Ok(set.only(names)?),
+        FeatureChoice::Eliminated { .. } if options.kernel != KernelFamily::Gaussian => {
+            Err(TrainingError::EliminationKernel)
+        }
+        FeatureChoice::Eliminated { count } if !(1..=set.len()).contains(count) => {
+            Err(TrainingError::FeatureCount { count: *count, features: set.len() })
+        }
+        FeatureChoice::Eliminated { .. } => Ok(set),
+    }
 }
 
 fn check_options(options: &TrainingOptions) -> Result<(), TrainingError> {

@@ -7,6 +7,7 @@ use jiff::civil::{Date, date};
 use super::*;
 use crate::forecast::day::{Activity, Label, Variable, season_of};
 use crate::forecast::features::FeatureSetId;
+use crate::forecast::selection::select;
 use crate::forecast::svm::{Grid, GridError, KernelFamily};
 use crate::forecast::synthetic::{REPORTED, synthetic_station};
 use crate::forecast::verification::ThresholdRule;
@@ -19,6 +20,7 @@ fn options() -> TrainingOptions {
         label: Label::Observed,
         lead: 0,
         feature_set: FeatureSetId::Expert,
+        features: FeatureChoice::All,
         kernel: KernelFamily::Gaussian,
         reported: REPORTED.to_vec(),
         seed: 7,
@@ -246,22 +248,110 @@ fn similar_days_add_up_to_the_decision_value() {
 }
 
 #[test]
-fn contributions_are_differences_of_the_decision_value() {
-    let (days, model) = (station(), model(0));
-    let contributions = model.contributions(&days, DAY).unwrap();
-    assert_eq!(contributions.len(), model.features.len());
-    assert!(contributions.is_sorted_by(|a, b| a.contribution.abs() >= b.contribution.abs()));
-    // the machine of a day with that one feature at its mean, from scratch
-    let strongest = &contributions[0];
-    let mut row: Vec<f64> = model
-        .features
-        .iter()
-        .map(|name| contributions.iter().find(|c| &c.feature == name).unwrap().standardised)
-        .collect();
+fn an_explanation_adds_up_and_says_what_was_made_up() {
+    let (mut days, model) = (station(), model(0));
+    let today = days.iter().position(|day| day.date == DAY).unwrap();
+    days[today].values[Variable::WindSpeed.index()] = None;
+    days[today].values[Variable::AirTemperature.index()] = Some(30.0);
     let forecast = model.forecast(&days, DAY).unwrap();
-    assert_eq!(model.machine.decision_value(&row), forecast.decision_value);
-    row[model.features.iter().position(|name| *name == strongest.feature).unwrap()] = 0.0;
-    assert_eq!(strongest.contribution, forecast.decision_value - model.machine.decision_value(&row));
+    let found = model.explain(&days, DAY).unwrap();
+    assert_eq!(found.contributions.len(), model.features.len());
+    assert!(found.contributions.is_sorted_by(|a, b| a.contribution.abs() >= b.contribution.abs()));
+    let sum: f64 = found.contributions.iter().map(|part| part.contribution).sum();
+    assert_eq!(found.decision_value, forecast.decision_value);
+    assert!((found.base + sum - forecast.decision_value).abs() < 1e-11);
+    let names = |list: Vec<&String>| list.into_iter().cloned().collect::<Vec<String>>();
+    assert_eq!(names(found.imputed.iter().map(|entry| &entry.feature).collect()), forecast.inputs.imputed);
+    assert_eq!(names(found.out_of_range.iter().map(|entry| &entry.feature).collect()), forecast.inputs.out_of_range);
+    let wind = found.imputed.iter().find(|entry| entry.feature == "wind_speed_t").unwrap();
+    // the median of the training days, from the days themselves
+    let mut speeds: Vec<f64> = Vec::new();
+    for day in &days {
+        let scorable = model.forecast(&days, day.date).is_ok() && day.date != DAY;
+        speeds.extend(day.value(Variable::WindSpeed).filter(|_| scorable));
+    }
+    speeds.sort_by(f64::total_cmp);
+    let median = speeds[speeds.len() / 2];
+    assert!((wind.used - median).abs() < 1.0, "{} {median}", wind.used);
+    assert_eq!((wind.unit.as_str(), wind.inputs.as_slice()), ("m/s", &["wind_speed".to_owned()][..]));
+    let air = found.out_of_range.iter().find(|entry| entry.feature == "air_temperature_t").unwrap();
+    assert!(air.value == 30.0 && air.most.unwrap() < 30.0 && air.least < air.most);
+    let part = found.contributions.iter().find(|part| part.feature == "wind_speed_t").unwrap();
+    assert_eq!(part.value, None);
+}
+
+#[test]
+fn a_what_if_is_the_forecast_of_the_changed_day() {
+    let (days, model) = (station(), model(0));
+    let change = |value| Change { date: DAY, values: vec![(Variable::AirTemperature, value)], activity: None };
+    let mut by_hand = days.clone();
+    let today = by_hand.iter().position(|day| day.date == DAY).unwrap();
+    let curve = model.response(&days, DAY, Variable::AirTemperature, &[-8.0, 0.5, 60.0]).unwrap();
+    for point in &curve {
+        by_hand[today].values[Variable::AirTemperature.index()] = Some(point.value);
+        let expected = model.forecast(&by_hand, DAY).unwrap();
+        let found = model.forecast(&changed(&days, &[change(Some(point.value))]), DAY).unwrap();
+        assert_eq!((found.probability, point.probability), (expected.probability, expected.probability));
+        assert_eq!(point.decision_value, expected.decision_value);
+    }
+    assert!(curve[2].extrapolates && curve[0].probability != curve[1].probability);
+    assert!(changed(&days, &[change(None)])[today].value(Variable::AirTemperature).is_none());
+    // a day that nobody observed is made, in its place
+    let new = Change { date: date(2006, 5, 1), values: vec![(Variable::CloudCover, Some(3.0))], activity: None };
+    let more = changed(&days, &[new, Change { activity: Some(Activity::Presumed), ..change(Some(1.0)) }]);
+    assert!(more.is_sorted_by_key(|day| day.date) && more.len() == days.len() + 1);
+    assert_eq!(more[today].activity, Activity::Presumed);
+    let (least, most) = model.training_range(Variable::AirTemperature).unwrap();
+    assert!(least < -5.0 && most > 0.0 && most < 60.0);
+    assert_eq!(model.training_range(Variable::SnowHeight), None);
+}
+
+#[test]
+fn features_can_be_named_or_eliminated() {
+    let days = station();
+    let names = ["snow_drift_t", "air_temperature_t", "foot_penetration_t1"].map(str::to_owned).to_vec();
+    let named = TrainingOptions { features: FeatureChoice::Named(names.clone()), ..options() };
+    let model = train(&days, &named, &Unobserved).unwrap().model;
+    assert_eq!(model.features, ["air_temperature_t", "snow_drift_t", "foot_penetration_t1"], "in the order of the set");
+    assert!(model.machine.support.iter().all(|row| row.len() == 3));
+    assert_eq!(model.explain(&days, DAY).unwrap().contributions.len(), 3);
+    let stored: TrainedModel = serde_json::from_str(&serde_json::to_string(&model).unwrap()).unwrap();
+    assert_eq!(stored.forecast(&days, DAY), model.forecast(&days, DAY));
+
+    let options = TrainingOptions { features: FeatureChoice::Eliminated { count: 5 }, ..options() };
+    let chosen = train(&days, &options, &Unobserved).unwrap();
+    let selection = select(&days, &TrainingOptions { features: FeatureChoice::All, ..options }, &Unobserved).unwrap();
+    let mut expected = selection.set(5);
+    expected.sort();
+    let mut features = chosen.model.features.clone();
+    features.sort();
+    assert_eq!(features, expected, "the final model keeps what the elimination on all seasons keeps");
+    assert_eq!(chosen.model.preparation.columns().len(), 5);
+    assert!(chosen.evaluation.scores.svm.auc.unwrap() > 0.6);
+    assert_ne!(chosen.evaluation.scores.svm, TRAINED[0].evaluation.scores.svm);
+    assert_eq!(chosen.evaluation.scores.knn30, TRAINED[0].evaluation.scores.knn30, "the others read what they read");
+}
+
+#[test]
+fn a_choice_of_features_that_cannot_be_is_refused() {
+    let days = station();
+    let with = |features| refused(&days, &TrainingOptions { features, ..options() });
+    let name = |name: &str| name.to_owned();
+    assert!(
+        with(FeatureChoice::Named(vec![name("snow_depth_t")])).to_string().contains("`snow_depth_t` is no feature")
+    );
+    assert!(matches!(
+        with(FeatureChoice::Named(vec![name("snow_drift_t"), name("snow_drift_t")])),
+        TrainingError::Feature(_)
+    ));
+    assert!(matches!(with(FeatureChoice::Named(vec![])), TrainingError::FeatureCount { count: 0, .. }));
+    for count in [0, 65] {
+        let error = with(FeatureChoice::Eliminated { count });
+        assert_eq!(error, TrainingError::FeatureCount { count, features: 64 });
+    }
+    let linear =
+        TrainingOptions { kernel: KernelFamily::Linear, features: FeatureChoice::Eliminated { count: 5 }, ..options() };
+    assert_eq!(refused(&days, &linear), TrainingError::EliminationKernel);
 }
 
 #[test]

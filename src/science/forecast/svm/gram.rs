@@ -9,8 +9,6 @@ use crate::forecast::matrix::Matrix;
 
 /// Squared distances (Gaussian) or inner products (linear) of all pairs of rows, computed once a feature set.
 ///
-/// Stored in double precision: [`Self::remove_feature`] subtracts from them once a feature, and what is left of a sum of 60
-/// terms after 59 subtractions must still be good for a kernel.
 #[derive(Clone, Debug)]
 pub struct PairTable {
     family: KernelFamily,
@@ -52,30 +50,13 @@ impl PairTable {
         (i < self.rows && j < self.rows).then(|| self.pairs[i * self.stride + j])
     }
 
-    /// Takes the feature with values `column` (one a row, as in the matrix of [`Self::new`]) out of every pair.
-    ///
-    /// The downdate of recursive feature elimination: cost rows^2 instead of rows^2 x features. Rounding may leave a squared
-    /// distance just below 0, which becomes 0. Entries beyond the shorter of `column` and the table stay as they are.
-    pub fn remove_feature(&mut self, column: &[f64]) {
-        let (family, used) = (self.family, self.rows.min(column.len()));
-        self.pairs.par_chunks_mut(self.stride.max(1)).zip(column).for_each(|(row, &a)| {
-            for (pair, &b) in row[..used].iter_mut().zip(column) {
-                let left = *pair - family.term(a, b);
-                *pair = match family {
-                    KernelFamily::Gaussian => left.max(0.0),
-                    KernelFamily::Linear => left,
-                };
-            }
-        });
-    }
-
     /// The Gram matrix of that `gamma` (> 0, ignored for a linear table); 4 bytes a pair.
     #[must_use]
     pub fn gram(&self, gamma: f64) -> Gram {
         let kernel = self.family.with_gamma(gamma);
-        Gram::build(kernel, self.rows, |i, _, row| {
-            kernel_of_pairs(&kernel, &self.pairs[i * self.stride..][..self.rows], row);
-        })
+        let mut gram = Gram::empty(kernel, self.rows);
+        gram.fill(|i, _, row| kernel_of_pairs(&kernel, &self.pairs[i * self.stride..][..self.rows], row));
+        gram
     }
 }
 
@@ -94,7 +75,8 @@ impl Gram {
     #[must_use]
     pub fn of_rows(x: &Matrix, kernel: Kernel) -> Self {
         let columns = Columns::of_rows(x, 0..x.rows());
-        let mut gram = Self::build(kernel, x.rows(), |i, pairs, row| {
+        let mut gram = Self::empty(kernel, x.rows());
+        gram.fill(|i, pairs, row| {
             columns.pairs(kernel.family(), x.row(i), &mut pairs[..=i]);
             kernel_of_pairs(&kernel, &pairs[..=i], row);
         });
@@ -108,21 +90,36 @@ impl Gram {
         rows.saturating_mul(padded(rows)).saturating_mul(size_of::<f32>())
     }
 
-    fn build(kernel: Kernel, rows: usize, fill: impl Fn(usize, &mut [f64], &mut [f32]) + Sync) -> Self {
+    /// All zeros, to be filled.
+    pub(super) fn empty(kernel: Kernel, rows: usize) -> Self {
         let stride = padded(rows);
-        let mut values = vec![0.0_f32; rows * stride];
-        let finite = values
+        Self { kernel, rows, stride, finite: true, values: vec![0.0; rows * stride] }
+    }
+
+    /// Lets `work` write each row (its number, scratch of one row, the row), and looks whether all are finite.
+    fn fill(&mut self, work: impl Fn(usize, &mut [f64], &mut [f32]) + Sync) {
+        let stride = self.stride;
+        self.finite = self
+            .values
             .par_chunks_mut(stride.max(1))
             .enumerate()
             .map_init(
                 || vec![0.0; stride],
                 |pairs, (i, row)| {
-                    fill(i, pairs, row);
+                    work(i, pairs, row);
                     row.iter().all(|v| v.is_finite())
                 },
             )
             .reduce(|| true, |a, b| a && b);
-        Self { kernel, rows, stride, finite, values }
+    }
+
+    /// Lets `work` write the lower triangle, row by row (its number, its item of `rows`, the row up to the diagonal), and
+    /// mirrors it. What it writes must be finite.
+    pub(super) fn fill_symmetric<T: Send>(&mut self, rows: Vec<T>, work: impl Fn(usize, T, &mut [f32]) + Sync) {
+        let stride = self.stride.max(1);
+        let tasks = self.values.par_chunks_mut(stride).zip(rows).enumerate();
+        tasks.for_each(|(i, (row, item))| work(i, item, &mut row[..=i]));
+        mirror(&mut self.values, self.rows, self.stride);
     }
 
     /// Number of rows (samples).
@@ -175,7 +172,7 @@ impl Gram {
 const TILE: usize = 32;
 
 /// Copies the lower triangle of a symmetric matrix to the upper one.
-fn mirror<T: Copy>(values: &mut [T], rows: usize, stride: usize) {
+fn mirror<T: Copy + Default>(values: &mut [T], rows: usize, stride: usize) {
     for start in (0..rows).step_by(TILE) {
         let end = (start + TILE).min(rows);
         let (head, tail) = values.split_at_mut(end * stride);
@@ -186,11 +183,18 @@ fn mirror<T: Copy>(values: &mut [T], rows: usize, stride: usize) {
             }
         }
         for (tile, below) in tail.chunks(TILE * stride).enumerate() {
-            let first = end + tile * TILE;
-            for (i, row) in band.chunks_mut(stride).enumerate() {
-                for (j, source) in below.chunks_exact(stride).enumerate() {
-                    row[first + j] = source[start + i];
+            // turned in a small square: rows a power of two apart push each other out of the cache, so each is read once
+            let mut turned = [[T::default(); TILE]; TILE];
+            let mut height = 0;
+            for source in below.chunks_exact(stride) {
+                for (row, &value) in turned.iter_mut().zip(&source[start..end]) {
+                    row[height] = value;
                 }
+                height += 1;
+            }
+            let first = end + tile * TILE;
+            for (row, turned) in band.chunks_mut(stride).zip(&turned) {
+                row[first..first + height].copy_from_slice(&turned[..height]);
             }
         }
     }

@@ -394,8 +394,9 @@ fn held_out_values(fold: &Fold, machines: &[Signed], mut fill: impl FnMut(usize,
     values
 }
 
+/// Sum of the products of `alpha_i y_i` and a padded kernel row.
 #[multiversion(targets = "simd")]
-fn dot(beta: &[f64], row: &[f32]) -> f64 {
+pub(super) fn dot(beta: &[f64], row: &[f32]) -> f64 {
     lanes::dot(beta, row)
 }
 

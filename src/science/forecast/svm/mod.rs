@@ -8,13 +8,17 @@
 //!
 //! Data flow: rows of standardised features -> [`gram::PairTable`] (once a feature set) -> [`gram::Gram`] (once a gamma) ->
 //! [`solver::solve`] (once a cost and fold) -> [`machine::Machine`] -> [`calibration::Platt`]. [`grid`] runs that chain over
-//! costs, gammas and folds.
+//! costs, gammas and folds; [`elimination`] takes one feature after the other out.
 //!
 //! Every sum runs in an order that depends neither on the number of threads nor on the instruction set, so the same input
 //! gives the same bits everywhere.
 
+pub mod attribution;
 pub mod calibration;
 mod columns;
+mod criterion;
+mod downdate;
+pub mod elimination;
 pub mod gram;
 pub mod grid;
 mod interior;
@@ -25,7 +29,9 @@ mod rows;
 mod smo;
 pub mod solver;
 
+pub use attribution::Attribution;
 pub use calibration::{CalibrationError, Platt, fit_platt};
+pub use elimination::{Elimination, EliminationError, EliminationRecipe, eliminate};
 pub use gram::{Gram, PairTable};
 pub use grid::{Grid, GridError, GridPoint, GridResult, grid_search};
 pub use kernel::{Kernel, KernelFamily};

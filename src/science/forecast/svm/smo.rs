@@ -154,8 +154,8 @@ impl Dual {
         self.set_bounds(cost);
     }
 
-    /// The residual from the definition, in row order.
-    fn refresh(&mut self, rows: &mut dyn Rows) {
+    /// The residual from the definition, in row order: what makes a point that is kept valid for other `rows`.
+    pub(super) fn refresh(&mut self, rows: &mut dyn Rows) {
         self.residual.copy_from_slice(&self.target);
         for j in 0..rows.count() {
             if self.beta[j] != 0.0 {

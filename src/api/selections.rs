@@ -1,0 +1,79 @@
+//! `/v1/models/{model}/selection`: how many features it takes, for a model that was trained with the answer.
+
+use axum::{
+    extract::State,
+    http::{HeaderMap, StatusCode},
+    response::Response,
+};
+use serde::Serialize;
+use serde_json::Value;
+use utoipa::ToSchema;
+use uuid::Uuid;
+
+use super::{
+    AppState,
+    extract::{Conditions, Path, etag},
+    models::{self, ModelPath},
+    problem::ApiResult,
+    respond,
+};
+use crate::{
+    domain::{
+        ids::StationId,
+        problem::{Code, Problem},
+    },
+    formats::selection_svg,
+    science::forecast::selection::FeatureSelection,
+    store::selections::SelectionRecord,
+};
+
+/// The elimination that chose the features of a model.
+#[derive(Serialize, ToSchema)]
+pub struct SelectionResource {
+    /// The model.
+    model_id: Uuid,
+    /// The features that the model reads, in the order of its columns.
+    used: Vec<String>,
+    /// The job of the process `select-features` that found it.
+    job: Uuid,
+    /// The station whose days it was made on.
+    station: StationId,
+    /// True where these were made by a generator.
+    synthetic: bool,
+    /// The curve, the ranking and the proposal.
+    #[serde(flatten)]
+    selection: FeatureSelection,
+    /// Version of firn, and SHA-256 of everything that it was made on.
+    #[schema(value_type = Object)]
+    provenance: Value,
+}
+
+/// The elimination that chose the features of a model: the score of held-out seasons at every number of features with its
+/// spread, the ranking, the proposed number. As JSON, or as a picture (`Accept: image/svg+xml`).
+#[utoipa::path(get, path = "/v1/models/{model}/selection", operation_id = "get_model_selection", tag = "models",
+    params(ModelPath), responses((status = 200, description = "The elimination.",
+        content((SelectionResource = "application/json"), (String = "image/svg+xml")))))]
+pub async fn get_selection(
+    State(state): State<AppState>,
+    Path(path): Path<ModelPath>,
+    conditions: Conditions,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let picture = respond::prefers(&headers, "image/svg+xml")
+        .ok_or_else(|| Problem::new(Code::NotAcceptable, "served as application/json and image/svg+xml"))?;
+    let model = models::find(&state, path.model).await?;
+    let job = model.selection.ok_or_else(|| {
+        let detail = format!("model {} was trained without a selection of features", model.id);
+        Problem::new(Code::NoSelection, detail)
+    })?;
+    let trained = state.store.trained_model(model.id).await?.ok_or_else(|| models::unknown(model.id))?;
+    let found = state.store.selection(job).await?.ok_or_else(|| Problem::internal("a selection is gone"))?;
+    if picture {
+        let svg = selection_svg::draw(&found.selection, Some(trained.features.len())).into_bytes();
+        return Ok(respond::tagged_bytes(&conditions, StatusCode::OK, etag(&svg), "image/svg+xml", svg));
+    }
+    let SelectionRecord { station, synthetic, selection, provenance } = found;
+    let used = trained.features.clone();
+    let resource = SelectionResource { model_id: model.id, used, job, station, synthetic, selection, provenance };
+    respond::resource(&conditions, &resource)
+}
