@@ -3,7 +3,7 @@
 use std::error::Error;
 
 use firn_science::runout::{
-    Contact, LIMITED_ABOVE, Precision, Setup,
+    Contact, LIMITED_ABOVE, LIMITED_BEYOND, Precision, Setup,
     material::{FlowRule, ShearNorm, Snow},
     release::Slab,
     terrain::Terrain,
@@ -45,6 +45,7 @@ pub fn setup([m, beta, xi, p0]: [f64; 4], scale: f64, mesh_m: f64) -> Result<Set
         mesh_m,
         time_step_s: 2.3e-4 * mesh_m / 0.05,
         limited_above: LIMITED_ABOVE,
+        limited_beyond: LIMITED_BEYOND,
         precision: Precision::F32,
         memory_limit_bytes: 8 << 30,
     })

@@ -9,7 +9,9 @@ use std::{collections::HashMap, error::Error, time::Instant};
 use firn_science::progress::Unobserved;
 use firn_science::runout::plan::Plan;
 use firn_science::runout::scenario::{RunoutInputs, ScenarioName};
-use firn_science::runout::{Advance, GRAVITY_M_S2, LIMITED_ABOVE, RunoutError, Setup, Simulation, snapshot::Snapshot};
+use firn_science::runout::{
+    Advance, GRAVITY_M_S2, LIMITED_ABOVE, LIMITED_BEYOND, RunoutError, Setup, Simulation, snapshot::Snapshot,
+};
 
 /// When the limiter's effect on the flow is looked at, s.
 const COMPARED_S: f64 = 5.0;
@@ -132,6 +134,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mesh: f64 = options.get("mesh").unwrap_or(&"0.1").parse()?;
     let end: f64 = options.get("end").unwrap_or(&"12").parse()?;
     let limit: f64 = options.get("limit").map_or(Ok(LIMITED_ABOVE), |limit| limit.parse())?;
+    let beyond: f64 = options.get("beyond").map_or(Ok(LIMITED_BEYOND), |share| share.parse())?;
     // the highest point of the block, above its centre by half its thickness and half its length
     let slope = ScenarioName::Group2.slope();
     let (sine, cosine) = slope.angle_deg.to_radians().sin_cos();
@@ -158,7 +161,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let unmoved = run(&plain, COMPARED_S)?;
         plain.release.x_m += MOVED_M;
         let moved = run(&plain, COMPARED_S)?;
-        let seen = run(&Setup { limited_above: limit, ..setup }, end)?;
+        let seen = run(&Setup { limited_above: limit, limited_beyond: beyond, ..setup }, end)?;
         println!("{}", row(name, &seen, &unmoved, &moved, free));
     }
     Ok(())

@@ -49,7 +49,7 @@ const MEMORY_SETTING: &str = "runout_memory_mib";
 /// The most bytes that all frames of a run may take, about.
 const FILM_BYTES: f64 = 512e6;
 /// Bytes of a piece of the film, at least: pieces are handed over while the run goes on.
-const PIECE_BYTES: usize = 4 << 20;
+const PIECE_BYTES: usize = 1 << 20;
 /// Bytes of a packed frame a particle, about.
 const FRAME_BYTES_A_PARTICLE: f64 = 3.5;
 /// Physical time that a run takes at most, in units of the time scale of its fall, sqrt(H0 / g), about.
@@ -439,7 +439,7 @@ mod tests {
 
     #[test]
     fn a_run_that_was_interrupted_has_the_bits_and_frames_of_one_that_was_not() {
-        const PIECE: usize = 20_000;
+        const PIECE: usize = 3_000;
         let whole = run(&quick(), &firn_science::progress::Unobserved, PIECE).unwrap();
         let film = film_of(&whole, &Pieces::new());
         let (mut resumed, mut pieces) = (None, Pieces::new());

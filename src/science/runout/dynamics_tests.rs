@@ -32,6 +32,7 @@ fn void<T: Real>(snow: &Snow, gravity: f64) -> Frame<T> {
         friction: 0.5,
         sticky: false,
         limited_above: f64::INFINITY,
+        limited_beyond: 1.0,
         top_m: 1000.0,
     }
 }

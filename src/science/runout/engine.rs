@@ -38,16 +38,19 @@ pub(super) struct Frame<T> {
     pub(super) gravity_m_s2: f64,
     pub(super) friction: f64,
     pub(super) sticky: bool,
-    /// Volumetric plastic strain above which the affine motion of what outruns free fall is limited.
+    /// Volumetric plastic strain above which the affine motion of what is nearly in free fall is limited, and the share of its
+    /// speed from which on that holds.
     pub(super) limited_above: f64,
+    pub(super) limited_beyond: f64,
     /// Height of the highest snow at release, m.
     pub(super) top_m: f64,
 }
 
 impl<T> Frame<T> {
-    /// Twice the acceleration of gravity, cells a step a step.
+    /// What a height in cells is multiplied with for the square of the speed from which on motion is limited, in cells a step.
     fn fall(&self) -> f64 {
-        2.0 * self.gravity_m_s2 * self.time_step_s * self.time_step_s / self.mesh_m
+        let unit = self.time_step_s * self.time_step_s / self.mesh_m;
+        2.0 * self.gravity_m_s2 * unit * self.limited_beyond * self.limited_beyond
     }
 }
 

@@ -21,12 +21,12 @@ impl<T: Real> Extremes<T> {
     }
 }
 
-/// Limits the affine motion of dilated particles that outrun free fall, so that no node is given a velocity outside of those
-/// of the particle's nodes (after Barth & Jespersen 1989, AIAA paper 89-0366).
+/// Limits the affine motion of dilated particles that are nearly in free fall, so that no node is given a velocity outside of
+/// those of the particle's nodes (after Barth & Jespersen 1989, AIAA paper 89-0366).
 ///
 /// At an unresolved edge the fit overshoots, and a lone particle would hand momentum to nodes that few share, again and
-/// again: grains at twice the speed of free fall come of it. What is faster than a frictionless fall from the top of the slab
-/// cannot be right, and what is slower is left as it is: the flow does not feel the limit.
+/// again: grains at twice the speed of free fall come of it. What comes near to a frictionless fall from the top of the slab is
+/// on its way there; what is slower is left as it is, so that the flow does not feel the limit.
 #[inline(always)]
 pub(super) fn limit<T: Real>(step: &Step<'_, T>, block: &Block<T>, motion: &mut Motion<T>, extremes: &mut Extremes<T>) {
     // no iterator: what is not inlined is not compiled for the wide registers

@@ -34,7 +34,7 @@ mod transfer;
 mod vector;
 
 pub use error::{Dump, ParticleState, RunoutError};
-pub use simulation::{Advance, Contact, GRAVITY_M_S2, LIMITED_ABOVE, Precision, Setup, Simulation};
+pub use simulation::{Advance, Contact, GRAVITY_M_S2, LIMITED_ABOVE, LIMITED_BEYOND, Precision, Setup, Simulation};
 
 #[cfg(test)]
 mod block_tests;

@@ -8,7 +8,7 @@ use super::regime::Indicators;
 use super::release::{ReleaseError, Slab};
 use super::scenario::{MESH_M, Quality, RunoutInputs, SnowInputs};
 use super::terrain::{Terrain, TerrainError};
-use super::{LIMITED_ABOVE, RunoutError, Setup};
+use super::{LIMITED_ABOVE, LIMITED_BEYOND, RunoutError, Setup};
 
 /// Cells over the thickness of a slab, at least: fewer do not resolve it.
 pub const LEAST_CELLS: f64 = 4.0;
@@ -182,6 +182,7 @@ impl Plan {
             mesh_m,
             time_step_s: 0.0,
             limited_above: LIMITED_ABOVE,
+            limited_beyond: LIMITED_BEYOND,
             precision: inputs.precision,
             memory_limit_bytes,
         };

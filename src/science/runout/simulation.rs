@@ -24,6 +24,9 @@ pub const GRAVITY_M_S2: f64 = 9.81;
 /// The usual value of [`Setup::limited_above`]: so far dilated, snow has come apart.
 pub const LIMITED_ABOVE: f64 = 0.5;
 
+/// The usual value of [`Setup::limited_beyond`]: on a bed with friction no flow comes near to it.
+pub const LIMITED_BEYOND: f64 = 0.8;
+
 /// Cells above the bed at which a node still counts as lying on it.
 const ON_BED: f64 = 1e-6;
 
@@ -75,10 +78,12 @@ pub struct Setup {
     pub mesh_m: f64,
     /// Time step, s: at most [`Setup::time_step_limit_s`].
     pub time_step_s: f64,
-    /// Volumetric plastic strain above which the affine motion of a particle is limited where it outruns a frictionless fall
-    /// from the highest snow at release, usually [`LIMITED_ABOVE`]; infinity gives plain APIC, in which lone grains may come to
+    /// Volumetric plastic strain above which the affine motion of a particle is limited where it comes near to the speed of a
+    /// frictionless fall from the highest snow at release, usually [`LIMITED_ABOVE`]; infinity gives plain APIC, in which lone grains may come to
     /// twice that speed.
     pub limited_above: f64,
+    /// The share of the speed of that fall above which this holds, usually [`LIMITED_BEYOND`].
+    pub limited_beyond: f64,
     /// Numbers in which the run is computed.
     pub precision: Precision,
     /// Bytes that the run may take.
@@ -133,6 +138,8 @@ impl Setup {
             let accepted = "at least 0, or infinity";
             return Err(ParameterError { name: "limited_above", value: self.limited_above, accepted }.into());
         }
+        let beyond = self.limited_beyond;
+        check("limited_beyond", beyond, (0.0..=10.0).contains(&beyond), "from 0 to 10")?;
         let (time_step_s, limit_s) = (self.time_step_s, self.time_step_limit_s());
         check("time_step_s", time_step_s, time_step_s > 0.0, "above 0")?;
         if time_step_s > limit_s {
@@ -177,6 +184,7 @@ impl Setup {
             friction: self.bed_friction,
             sticky: self.contact == Contact::Sticky,
             limited_above: self.limited_above,
+            limited_beyond: self.limited_beyond,
             top_m: self.release.top_m(&self.terrain),
         }
     }

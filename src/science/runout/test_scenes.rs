@@ -1,7 +1,7 @@
 //! Scenes and measures that several tests share.
 
 use super::{
-    Contact, LIMITED_ABOVE, Precision, Setup, Simulation,
+    Contact, LIMITED_ABOVE, LIMITED_BEYOND, Precision, Setup, Simulation,
     engine::{Engine, Frame, Released},
     lanes::Real,
     material::{FlowRule, ShearNorm, Snow},
@@ -30,6 +30,7 @@ pub(super) fn setup(terrain: Terrain, release: Slab, snow: Snow, mesh_m: f64) ->
         mesh_m,
         time_step_s: 2.3e-4 * mesh_m / 0.05,
         limited_above: LIMITED_ABOVE,
+        limited_beyond: LIMITED_BEYOND,
         precision: Precision::F32,
         memory_limit_bytes: 1 << 30,
     }

@@ -74,10 +74,9 @@ pub(super) struct Step<'a, T> {
     /// For every column the number of its node at row 0, were there one.
     pub(super) offset: &'a [i32],
     pub(super) material: &'a Material<T>,
-    /// Volumetric plastic strain above which the affine motion of what outruns free fall is limited.
+    /// Volumetric plastic strain above which the affine motion of what is nearly in free fall is limited.
     pub(super) limited_above: T,
-    /// Twice the acceleration of gravity, cells a step a step, and the row that all snow fell from: `fall (top - z)` is the
-    /// square of the speed of free fall.
+    /// `fall (top - z)` is the square of the speed, cells a step, from which on that holds at the row `z`.
     pub(super) fall: T,
     pub(super) top: T,
 }
