@@ -7,11 +7,13 @@
 mod csv_source;
 pub mod film;
 pub mod json;
+pub mod mapped_csv;
 pub mod ndjson;
 pub mod observations_csv;
 mod report;
 pub mod sais;
 pub mod selection_svg;
+pub mod smet;
 mod text;
 
 pub use report::{
