@@ -212,12 +212,17 @@ fn claims(found: &FeatureSelection) -> String {
     let holds = left.len() == only.len() && only.iter().all(|name| left.iter().any(|kept| kept == name));
     let verdict = if holds { "holds" } else { "does not hold" };
     let both = only.iter().filter(|name| left.iter().any(|kept| kept == *name)).count();
+    if let Some((first, _)) = winds.first().and_then(|wind| wind.rsplit_once(' ')) {
+        let _ = writeln!(text, "Of the derived features of the wind {first} stayed longest.\n");
+    }
     let _ = writeln!(
         text,
         "That only foot penetration and wind direction of t-2 survive **{verdict}** here: {} of {} raw variables of t-2 are among the \
-         {OF_THE_PAPER}, {both} of those two with them.",
+         {OF_THE_PAPER} ({} of t-1 and {} of t are), {both} of those two with them.",
         left.len(),
-        raw("t2").len()
+        raw("t2").len(),
+        survivors("t1").len(),
+        survivors("t").len()
     );
     text
 }

@@ -32,7 +32,8 @@ use crate::{
     formats::{
         Flag, FormatError, Import, ImportedRow, MAX_ROWS,
         json::{self, JsonDays},
-        ndjson, observations_csv, sais,
+        mapped_csv::{self, CheckedMapping, Mapping},
+        ndjson, observations_csv, sais, smet,
     },
     store::{
         observations::{Author, DayWrite},
@@ -53,6 +54,13 @@ pub struct ImportQuery {
     #[serde(default)]
     #[param(value_type = Option<bool>, default = false)]
     partial: Option<bool>,
+    /// For `Content-Type: text/csv`: what the columns of the file are, as JSON. `date` names the column of the day and
+    /// `date_format` how it is written (`YYYY-MM-DD`, `DD/MM/YYYY`, `MM/DD/YYYY`, `DD.MM.YYYY` or `YYYYMMDD`); `columns` has for each
+    /// other column the `variable` and its `unit` in the file; `missing` lists texts that stand for missing.
+    #[serde(default)]
+    #[param(value_type = Option<String>, max_length = 20000,
+        example = r#"{"date": "Day", "columns": {"TA": {"variable": "air_temperature", "unit": "K"}}}"#)]
+    mapping: Option<String>,
     /// For `format=sais`: the area to read from a file that has several.
     #[serde(default)]
     #[param(value_type = Option<String>, example = "Lochaber", max_length = 100)]
@@ -83,7 +91,7 @@ pub enum Format {
 /// What became of an import, with a line a row.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct ImportReport {
-    /// How the body was read: json, ndjson, csv or sais.
+    /// How the body was read: json, ndjson, csv, smet or sais.
     format: &'static str,
     /// Rows that were read.
     rows: usize,
@@ -174,7 +182,7 @@ struct Rows {
 /// sending the same again changes nothing. All rows are
 /// stored or none, unless `partial=true`.
 ///
-/// JSON (one day or an array of days) and NDJSON are refused where a value is impossible. A file (CSV or the export of a
+/// JSON (one day or an array of days) and NDJSON are refused where a value is impossible. A file (CSV, SMET or the export of a
 /// service) is read as it is: an impossible field becomes missing and is flagged, and only an unreadable date or
 /// structure refuses a row.
 #[utoipa::path(post, path = "/v1/stations/{station}/observations", operation_id = "import_observations", tag = "observations",
@@ -182,7 +190,8 @@ struct Rows {
     request_body(content(
         (DayOrDays = "application/json", example = json!([{"date": "2007-02-14", "air_temperature": -3.5, "avalanche_activity": "none"}])),
         (String = "application/x-ndjson", example = "{\"date\": \"2007-02-14\", \"air_temperature\": -3.5}\n"),
-        (String = "text/csv", example = "date,air_temperature,avalanche_activity\n2007-02-14,-3.5,none\n"))),
+        (String = "text/csv", example = "date,air_temperature,avalanche_activity\n2007-02-14,-3.5,none\n"),
+        (String = "text/x-smet", example = "SMET 1.1 ASCII\n[HEADER]\nstation_id = a\nfields = timestamp TA HS\n[DATA]\n2007-02-14T09:00 269.65 1.2\n"))),
     responses((status = 200, description = "What became of every row.", body = ImportReport)))]
 pub async fn import_observations(
     State(state): State<AppState>,
@@ -192,9 +201,14 @@ pub async fn import_observations(
     headers: HeaderMap,
     Body(bytes): Body,
 ) -> ApiResult<Response> {
-    let media = media_type(&headers, &[MediaType::Json, MediaType::Ndjson, MediaType::Csv])?;
+    let media = media_type(&headers, &[MediaType::Json, MediaType::Ndjson, MediaType::Csv, MediaType::Smet])?;
     if query.format.is_some() && media != MediaType::Csv {
         return Err(Problem::new(Code::UnsupportedMediaType, "format=sais needs Content-Type: text/csv").into());
+    }
+    let mapping = query.mapping.as_deref().map(read_mapping).transpose()?;
+    if mapping.is_some() && (query.format.is_some() || media != MediaType::Csv) {
+        let detail = "must be left out unless the body is CSV without a format";
+        return Err(Problem::field(Code::InvalidMapping, "/mapping", "contradiction", detail).into());
     }
     let station = state.station(&path.station).await?;
     let zone = station.body.timezone.clone();
@@ -202,13 +216,32 @@ pub async fn import_observations(
     let read = tokio::task::spawn_blocking(move || match (media, query.format) {
         (MediaType::Json, _) => from_json(&bytes),
         (MediaType::Ndjson, _) => from_ndjson(&bytes),
-        (MediaType::Csv, None) => from_file("csv", observations_csv::read(&bytes)),
+        (MediaType::Smet, _) => from_file("smet", smet::read(&bytes)),
+        (MediaType::Csv, None) => match mapping {
+            Some(mapping) => from_file("csv", mapped_csv::read(&bytes, &mapping)),
+            None => from_file("csv", observations_csv::read(&bytes)),
+        },
         (MediaType::Csv, Some(Format::Sais)) => {
             from_sais(&bytes, zone.as_ref(), query.area.as_ref().map(|area| area.0.as_str()))
         }
     });
     let rows = read.await.map_err(Problem::internal)??;
     store(&state, &station, rows, query.partial.unwrap_or(false), caller).await
+}
+
+fn read_mapping(text: &str) -> Result<CheckedMapping, Problem> {
+    let fault =
+        |pointer: String, code: &str, detail: String| Problem::field(Code::InvalidMapping, pointer, code, detail);
+    let mut reader = serde_json::Deserializer::from_str(text);
+    let mapping: Mapping = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+        let path = error.path().to_string().replace('.', "/");
+        let pointer = if path == "/" || path.is_empty() { "/mapping".to_owned() } else { format!("/mapping/{path}") };
+        fault(pointer, "invalid_mapping", error.inner().to_string())
+    })?;
+    mapping.check().map_err(|faults| {
+        let detail = faults.first().map_or_else(String::new, |first| format!("{}: {}", first.pointer, first.detail));
+        Problem::new(Code::InvalidMapping, detail).with_errors(faults)
+    })
 }
 
 /// One day or an array of days.

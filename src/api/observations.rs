@@ -32,7 +32,7 @@ use crate::{
         observation::{DatedObservation, Observation},
         problem::{Code, FieldError, Problem},
     },
-    formats::observations_csv,
+    formats::{observations_csv, smet},
     store::{
         observations::{Author, DayWrite, Part, StoredDay},
         stations::Written,
@@ -160,10 +160,11 @@ fn not_observed(station: &StationId, date: Date) -> Problem {
     Problem::new(Code::NoObservation, format!("no observation of {station} on {}", date.0))
 }
 
-/// The days of a range, as JSON or, with `Accept: text/csv`, as the CSV that can be sent in again.
+/// The days of a range, as JSON or, with `Accept: text/csv`, as the CSV that can be sent in again; with `Accept: text/x-smet` as
+/// SMET, which has weather and snow but no avalanches.
 #[utoipa::path(get, path = "/v1/stations/{station}/observations", operation_id = "list_observations", tag = "observations",
     params(StationPath, RangeQuery),
-    responses((status = 200, description = "A page of days.", content((ObservationList = "application/json"), (String = "text/csv")))))]
+    responses((status = 200, description = "A page of days.", content((ObservationList = "application/json"), (String = "text/csv"), (String = "text/x-smet")))))]
 pub async fn list_observations(
     State(state): State<AppState>,
     Path(path): Path<StationPath>,
@@ -171,8 +172,12 @@ pub async fn list_observations(
     conditions: Conditions,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let csv = respond::prefers(&headers, "text/csv")
-        .ok_or_else(|| Problem::new(Code::NotAcceptable, "served as application/json and text/csv"))?;
+    let (csv, as_smet) = (respond::prefers(&headers, "text/csv"), respond::prefers(&headers, "text/x-smet"));
+    if csv.is_none() && as_smet.is_none() {
+        let detail = "served as application/json, text/csv and text/x-smet";
+        return Err(Problem::new(Code::NotAcceptable, detail).into());
+    }
+    let (csv, as_smet) = (csv.unwrap_or(false), as_smet.unwrap_or(false));
     let station = state.station(&path.station).await?;
     let limit = Limit::or_default(query.limit);
     let from = query.from.map_or(civil::Date::constant(0, 1, 1), |date| date.0);
@@ -201,6 +206,10 @@ pub async fn list_observations(
             response.headers_mut().insert(header::CONTENT_DISPOSITION, name);
         }
         response
+    } else if as_smet {
+        let rows: Vec<_> = days.iter().filter_map(|day| Some((day.date, day.values.as_ref()?.value))).collect();
+        let body = smet::write(&station, &rows).into_bytes();
+        respond::tagged_bytes(&conditions, StatusCode::OK, etag(&body), "text/x-smet; charset=utf-8", body)
     } else {
         let observations = days
             .iter()

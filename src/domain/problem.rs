@@ -64,6 +64,7 @@ codes! {
     NoActiveModel "no-active-model" 404 "The station has no active model" "Train one with `POST /v1/processes/train-model/execution`; a station's first model becomes active by itself.";
     ModelOutdated "model-outdated" 404 "The active model can no longer forecast" "The model was trained with features that have changed since. Train it again with `POST /v1/processes/train-model/execution`.";
     UnknownModel "unknown-model" 404 "No such model" "The model id is not known. `GET /v1/models` lists the models.";
+    InvalidMapping "invalid-mapping" 422 "The mapping of the columns is not acceptable" "`mapping` must be JSON that names the column of the date and, for each other column, a variable and a unit in which it can come. `errors` has a pointer to each name or unit that is not known.";
     NotIssued "not-issued" 404 "No forecast of that day was issued" "A forecast is issued with `PUT /v1/stations/{station}/forecasts/{date}`; what the model would say now is at the same address with GET.";
     ForecastFrozen "forecast-frozen" 409 "What was issued stays as it is" "A forecast that was issued, and a call of a day that has ended, are what the verification judges: neither can be changed afterwards.";
     NoSelection "no-selection" 404 "The model has no selection of features" "The model was trained without the input `selection`, so there is no curve of its features. Run `select-features` and train with its job id.";

@@ -9,11 +9,13 @@ pub mod emission;
 pub mod figures;
 pub mod film;
 pub mod json;
+pub mod mapped_csv;
 pub mod ndjson;
 pub mod observations_csv;
 mod report;
 pub mod sais;
 pub mod selection_svg;
+pub mod smet;
 mod text;
 
 pub use report::{

@@ -213,6 +213,14 @@ pub enum FormatError {
         /// Columns that a file may have.
         most: usize,
     },
+    /// A header that breaks the rules of its format.
+    #[error("line {line}: {detail}")]
+    Header {
+        /// 1-based line.
+        line: u64,
+        /// What is wrong and what would be accepted.
+        detail: String,
+    },
     /// A column that nobody knows.
     #[error("line {line}, column {column}: unknown column `{name}`; accepted are {accepted}")]
     UnknownColumn {
@@ -265,9 +273,10 @@ impl FormatError {
     pub const fn place(&self) -> Option<(u64, Option<u64>)> {
         match self {
             Self::Empty | Self::UnknownZone { .. } => None,
-            Self::MissingColumn { line, .. } | Self::TooManyRows { line } | Self::TooManyColumns { line, .. } => {
-                Some((*line, None))
-            }
+            Self::MissingColumn { line, .. }
+            | Self::TooManyRows { line }
+            | Self::TooManyColumns { line, .. }
+            | Self::Header { line, .. } => Some((*line, None)),
             Self::NotText { line, column, .. }
             | Self::UnknownColumn { line, column, .. }
             | Self::DuplicateColumn { line, column, .. }

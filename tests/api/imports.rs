@@ -3,7 +3,7 @@
 use insta::assert_json_snapshot;
 use serde_json::{Value, json};
 
-use crate::support::{Answer, TestApp};
+use crate::support::{Answer, TestApp, data};
 
 const DAYS: &str = "/v1/stations/lochaber/observations";
 
@@ -460,4 +460,65 @@ async fn a_body_of_unknown_fields_is_refused_in_few_words() {
     let answer = app.post(DAYS).body("application/json", body.clone()).await;
     answer.problem("invalid-body");
     assert!(answer.body.len() < 20_000, "{} bytes for {}", answer.body.len(), body.len());
+}
+
+#[tokio::test]
+async fn smet_goes_out_and_in_again_field_by_field() {
+    let app = TestApp::start().await;
+    app.station("a").await.station("b").await;
+    let days = data::winters(3, 1);
+    app.import_csv("a", &data::csv(&days)).await.json(200);
+    let smet = app.get("/v1/stations/a/observations?limit=10000").header("accept", "text/x-smet").await;
+    assert_eq!(smet.header("content-type"), "text/x-smet; charset=utf-8");
+    let report = app.post("/v1/stations/b/observations").body("text/x-smet", smet.text()).await.json(200);
+    assert_eq!((&report["format"], &report["refused"], &report["flagged"]), (&json!("smet"), &json!(0), &json!(0)));
+    let a = app.read("/v1/stations/a/observations?limit=10000").await;
+    let b = app.read("/v1/stations/b/observations?limit=10000").await;
+    let (a, b) = (a["observations"].as_array().unwrap(), b["observations"].as_array().unwrap());
+    assert_eq!(a.len(), b.len());
+    for (a, b) in a.iter().zip(b) {
+        for (name, value) in a.as_object().unwrap() {
+            if !name.starts_with("avalanche") && !["station", "updated"].contains(&name.as_str()) {
+                assert_eq!(value, &b[name], "{name} of {}", a["date"]);
+            }
+        }
+    }
+    // avalanches have no field in SMET: those that are known stay
+    let again = app.post("/v1/stations/a/observations").body("text/x-smet", smet.text()).await.json(200);
+    assert_eq!((&again["updated"], &again["created"]), (&json!(0), &json!(0)), "nothing changed");
+    let any = app.get("/v1/stations/a/observations").header("accept", "text/*").await;
+    assert_eq!(any.header("content-type"), "text/csv; charset=utf-8");
+    let broken =
+        app.post("/v1/stations/a/observations").body("text/x-smet", "SMET 1.1 ASCII\nfields = TA\n[DATA]\n").await;
+    broken.problem("malformed-file");
+}
+
+#[tokio::test]
+async fn a_file_of_anybody_is_read_by_its_mapping() {
+    let app = TestApp::start().await;
+    app.station("a").await;
+    let send = |mapping: Value, body: &str| {
+        let query: String =
+            form_urlencoded::Serializer::new(String::new()).append_pair("mapping", &mapping.to_string()).finish();
+        app.post(&format!("/v1/stations/a/observations?{query}")).body("text/csv", body.to_owned())
+    };
+    let good = json!({"date": "Day", "date_format": "DD.MM.YYYY",
+        "columns": {"TA": {"variable": "air_temperature", "unit": "K"}, "FF": {"variable": "wind_speed", "unit": "km/h"}}});
+    let report = send(good.clone(), "Day,TA,FF,Obs\n14.02.2007,269.65,36,ann\n").await.json(200);
+    assert_eq!((&report["created"], &report["ignored_columns"]), (&json!(1), &json!(["Obs"])));
+    let day = app.read("/v1/stations/a/observations/2007-02-14").await;
+    assert_eq!((&day["air_temperature"], &day["wind_speed"]), (&json!(-3.5), &json!(10.0)));
+
+    let rows = app.rows().await;
+    let mut unit = good.clone();
+    unit["columns"]["FF"]["unit"] = json!("Bft");
+    assert_eq!(send(unit, "Day,TA,FF\n").await.pointers("invalid-mapping"), ["/mapping/columns/FF/unit"]);
+    let mut variable = good.clone();
+    variable["columns"]["FF"]["variable"] = json!("gusts");
+    assert_eq!(send(variable, "Day,TA,FF\n").await.pointers("invalid-mapping"), ["/mapping/columns/FF/variable"]);
+    assert_eq!(send(json!({"columns": {}}), "x\n").await.pointers("invalid-mapping"), ["/mapping"]);
+    send(good, "Day,TA\n").await.problem("malformed-file");
+    let smet = app.post("/v1/stations/a/observations?mapping=%7B%7D").body("text/csv", "x\n").await;
+    assert_eq!(smet.pointers("invalid-mapping"), ["/mapping"]);
+    assert_eq!(app.rows().await, rows);
 }

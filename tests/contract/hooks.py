@@ -51,6 +51,12 @@ EXPLAINED = {
         "invalid-body": {"/count", "/type", "/trigger", "/size"},
         "precondition-failed": {""},
     },
+    # a model of another station, names of variables and bounds of their values, the order of two ends
+    "ask_what_if": {"model-mismatch": {"/model_id"}, "invalid-body": {"/changes", "/response", "/date"}},
+    "put_forecaster_call": {"precondition-failed": {""}},
+    "issue_forecast": {"precondition-failed": {""}},
+    "verify_forecasts": {"invalid-parameter": {"/to"}},
+    "explain_forecast": {"model-mismatch": {"/model_id"}, "invalid-parameter": {"/date"}},
     "put_observation": {
         "invalid-body": {
             f"/avalanche_{name}" for name in ("activity", "count", "type", "trigger", "size")
@@ -63,6 +69,7 @@ EXPLAINED = {
 @schemathesis.serializer(
     "application/x-ndjson",
     "text/csv",
+    "text/x-smet",
     "text/tab-separated-values",
     "application/octet-stream",
     "application/vnd.apache.parquet",
@@ -83,7 +90,7 @@ def before_call(ctx, case, kwargs):
     `format=sais` belongs to CSV: beside JSON it is 415 whatever the body says. Entity tags that were meant to be valid
     and are not are left out: the coverage phase knows no quotes in headers.
     """
-    if case.media_type in ("application/json", "application/x-ndjson") and (case.query or {}).get("format") == "sais":
+    if case.media_type != "text/csv" and (case.query or {}).get("format") == "sais":
         del case.query["format"]
     if not case.meta or not case.meta.generation.mode.is_positive:
         return
@@ -122,7 +129,9 @@ def explained(case, problem):
 
 
 def import_explained(case, problem):
-    """A text has no schema: CSV and NDJSON are refused for what they say. JSON is refused for contradictions only."""
+    """A text has no schema: CSV, SMET, NDJSON and the mapping of columns are refused for what they say. JSON is refused for contradictions only."""
+    if problem["code"] == "invalid-mapping":
+        return "mapping" in (case.query or {})
     if problem["code"] == "unsupported-media-type":
         return "format" in (case.query or {}) and case.media_type != "text/csv"
     if case.media_type != "application/json":

@@ -28,6 +28,8 @@ pub enum MediaType {
     Ndjson,
     /// `text/csv`.
     Csv,
+    /// `text/x-smet`: SMET in ASCII.
+    Smet,
 }
 
 /// The media type of a request.
@@ -41,6 +43,7 @@ pub fn media_type(headers: &HeaderMap, accepted: &[MediaType]) -> Result<MediaTy
         "application/json" => Some(MediaType::Json),
         "application/x-ndjson" | "application/ndjson" | "application/jsonl" => Some(MediaType::Ndjson),
         "text/csv" => Some(MediaType::Csv),
+        "text/x-smet" => Some(MediaType::Smet),
         _ => None,
     };
     found.filter(|found| accepted.contains(found)).ok_or_else(|| {
@@ -58,6 +61,7 @@ impl MediaType {
             Self::Json => "application/json",
             Self::Ndjson => "application/x-ndjson",
             Self::Csv => "text/csv",
+            Self::Smet => "text/x-smet",
         }
     }
 }

@@ -50,7 +50,7 @@ impl Criterion {
     /// squared distances are `table`.
     ///
     /// As `DJ = sum over pairs i < j of beta_i beta_j K_ij (1 - exp(gamma (x_if - x_jf)^2))`, only the last factor is
-    /// computed a feature. It is computed without cancellation, so single precision costs a part in 1e6 of a sum whose machine
+    /// computed a feature. It is computed without cancellation, so single precision costs parts in 1e6 of a sum whose machine
     /// is known to `epsilon`.
     pub(super) fn changes(&self, table: &Triangle, gram: &Gram, beta: &[f64], kept: &[usize]) -> Vec<f64> {
         let support = Support::of(beta, gram.rows());
@@ -133,11 +133,10 @@ impl Support {
     }
 }
 
-/// `exp(z) - 1` for `z` from 0 to [`SMALL`], relative error below 1e-7: seven terms of the series.
+/// `exp(z) - 1` for `z` from 0 to [`SMALL`], relative error below 1.5e-6: five terms of the series.
 #[inline(always)]
 fn growth_of_small(z: f32) -> f32 {
-    let tail = z * (1.0 / 720.0) + 1.0 / 120.0;
-    let tail = tail * z + 1.0 / 24.0;
+    let tail = z * (1.0 / 120.0) + 1.0 / 24.0;
     let tail = tail * z + 1.0 / 6.0;
     let tail = tail * z + 0.5;
     let tail = tail * z + 1.0;
@@ -193,8 +192,8 @@ mod tests {
                 let exact = (f64::from(x) * f64::from(x) * f64::from(1_u32 << doublings)).exp_m1();
                 worst = worst.max((growth(doublings, x, &column, &weights) / exact - 1.0).abs());
             }
-            // the square is rounded once, and rounding it moves exp(z) by z of that
-            let allowed = 3e-7 * (1.0 + SMALL * f64::from(1_u32 << doublings));
+            // the series ends at z^5 / 720 of z, and rounding the square moves exp(z) by z of that
+            let allowed = (1.5e-6 + 3e-7) * (1.0 + SMALL * f64::from(1_u32 << doublings));
             assert!(worst < allowed, "{doublings} doublings: {worst:e}, allowed {allowed:e}");
         }
     }

@@ -168,11 +168,16 @@ impl Gram {
     }
 }
 
-/// Rows that [`mirror`] takes at a time, few enough for a square of them to stay in the first-level cache.
-const TILE: usize = 32;
+/// Rows that [`mirror`] takes at a time: a square of them stays in the first-level cache.
+const TILE: usize = 64;
 
-/// Copies the lower triangle of a symmetric matrix to the upper one.
+/// Side of the squares that are turned in registers.
+const SQUARE: usize = 8;
+
+/// Copies the lower triangle of a symmetric matrix to the upper one. `stride` is a multiple of [`TILE`].
 fn mirror<T: Copy + Default>(values: &mut [T], rows: usize, stride: usize) {
+    // a square in which tiles are turned: rows a power of two apart push each other out of the cache, so each is read once
+    let mut turned = [[T::default(); TILE]; TILE];
     for start in (0..rows).step_by(TILE) {
         let end = (start + TILE).min(rows);
         let (head, tail) = values.split_at_mut(end * stride);
@@ -183,19 +188,29 @@ fn mirror<T: Copy + Default>(values: &mut [T], rows: usize, stride: usize) {
             }
         }
         for (tile, below) in tail.chunks(TILE * stride).enumerate() {
-            // turned in a small square: rows a power of two apart push each other out of the cache, so each is read once
-            let mut turned = [[T::default(); TILE]; TILE];
             let mut height = 0;
-            for source in below.chunks_exact(stride) {
-                for (row, &value) in turned.iter_mut().zip(&source[start..end]) {
-                    row[height] = value;
-                }
-                height += 1;
+            for sources in below.chunks(SQUARE * stride) {
+                turn(sources, start, stride, height, &mut turned);
+                height += sources.len() / stride;
             }
             let first = end + tile * TILE;
             for (row, turned) in band.chunks_mut(stride).zip(&turned) {
                 row[first..first + height].copy_from_slice(&turned[..height]);
             }
+        }
+    }
+}
+
+/// Writes the columns from `start` on of up to [`SQUARE`] rows as rows of `turned`, from the entry `at` on.
+#[inline(always)]
+fn turn<T: Copy + Default>(sources: &[T], start: usize, stride: usize, at: usize, turned: &mut [[T; TILE]; TILE]) {
+    for (square, rows) in turned.chunks_exact_mut(SQUARE).enumerate() {
+        let mut block = [[T::default(); SQUARE]; SQUARE];
+        for (line, source) in block.iter_mut().zip(sources.chunks_exact(stride)) {
+            line.copy_from_slice(&source[start + square * SQUARE..][..SQUARE]);
+        }
+        for (i, row) in rows.iter_mut().enumerate() {
+            row[at..at + SQUARE].copy_from_slice(&block.map(|line| line[i]));
         }
     }
 }
