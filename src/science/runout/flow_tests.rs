@@ -36,14 +36,15 @@ fn audited(setup: &Setup, time_s: f64) -> Audit {
     let start = places(&simulation);
     let mut seen = Audit { rise: 0.0, closure: 0.0, fastest: 0.0, start, at_5: start };
     let (mut lowest, mut last) = (first.total(), first);
-    for look in 1..=(10.0 * time_s).round() as u32 {
-        assert_eq!(simulation.step_until(f64::from(look) / 10.0, &Unobserved).unwrap(), Advance::Reached);
+    // as often as the observables do: grains are fast for a moment only
+    for look in 1..=(24.0 * time_s).round() as u32 {
+        assert_eq!(simulation.step_until(f64::from(look) / 24.0, &Unobserved).unwrap(), Advance::Reached);
         last = simulation.energies();
         assert!(last.bed >= 0.0 && last.plastic >= 0.0 && last.transfer >= 0.0);
         lowest = lowest.min(last.total());
         seen.rise = seen.rise.max(last.total() - lowest);
         seen.fastest = speeds(&simulation.snapshot()).fold(seen.fastest, f64::max);
-        if look == 50 {
+        if look == 5 * 24 {
             seen.at_5 = places(&simulation);
         }
     }

@@ -22,10 +22,10 @@ use crate::progress::Progress;
 pub const GRAVITY_M_S2: f64 = 9.81;
 
 /// The usual value of [`Setup::limited_above`]: so far dilated, snow has come apart.
-pub const LIMITED_ABOVE: f64 = 0.5;
+pub const LIMITED_ABOVE: f64 = 0.2;
 
-/// The usual value of [`Setup::limited_beyond`]: on a bed with friction no flow comes near to it.
-pub const LIMITED_BEYOND: f64 = 0.8;
+/// The usual value of [`Setup::limited_beyond`]: what flows on a bed with friction as a whole stays below it.
+pub const LIMITED_BEYOND: f64 = 0.6;
 
 /// Cells above the bed at which a node still counts as lying on it.
 const ON_BED: f64 = 1e-6;
