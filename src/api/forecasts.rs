@@ -34,14 +34,19 @@ use crate::{
 
 /// Days between the last observation and the day that is forecast.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(try_from = "u8")]
+// 1.0 is the number 1 as well: JSON has no other integers
+#[serde(try_from = "f64")]
 pub struct Lead(pub u8);
 
-impl TryFrom<u8> for Lead {
+impl TryFrom<f64> for Lead {
     type Error = &'static str;
 
-    fn try_from(lead: u8) -> Result<Self, Self::Error> {
-        if lead <= 1 { Ok(Self(lead)) } else { Err("must be 0 (nowcast) or 1 (tomorrow)") }
+    fn try_from(lead: f64) -> Result<Self, Self::Error> {
+        match lead {
+            0.0 => Ok(Self(0)),
+            1.0 => Ok(Self(1)),
+            _ => Err("must be 0 (nowcast) or 1 (tomorrow)"),
+        }
     }
 }
 

@@ -58,7 +58,7 @@ pub struct ImportQuery {
     /// `date_format` how it is written (`YYYY-MM-DD`, `DD/MM/YYYY`, `MM/DD/YYYY`, `DD.MM.YYYY` or `YYYYMMDD`); `columns` has for each
     /// other column the `variable` and its `unit` in the file; `missing` lists texts that stand for missing.
     #[serde(default)]
-    #[param(value_type = Option<String>, max_length = 20000,
+    #[param(value_type = Option<String>, max_length = 4000,
         example = r#"{"date": "Day", "columns": {"TA": {"variable": "air_temperature", "unit": "K"}}}"#)]
     mapping: Option<String>,
     /// For `format=sais`: the area to read from a file that has several.

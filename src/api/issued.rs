@@ -107,6 +107,13 @@ impl From<ForecasterCall> for CallResource {
     }
 }
 
+/// A level as any JSON number: 3.0 is the number 3 as well.
+fn danger_level<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<u8>, D::Error> {
+    let Some(given) = Option::<f64>::deserialize(deserializer)? else { return Ok(None) };
+    let level = (1..=5).find(|level| f64::from(*level) == given);
+    level.map(Some).ok_or_else(|| serde::de::Error::custom("must be a whole number from 1 to 5"))
+}
+
 /// What a forecaster says of a day.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -118,7 +125,7 @@ pub struct CallBody {
     #[schema(minimum = 0, maximum = 1)]
     probability: Option<f64>,
     /// Danger level on the European scale, 1 to 5, if one is set: the only one that an export states.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "danger_level")]
     #[schema(minimum = 1, maximum = 5)]
     danger_level: Option<u8>,
     /// In words, at most 2000 characters.
@@ -266,9 +273,6 @@ fn check(body: &CallBody) -> Result<(), Problem> {
     let mut faults = Vec::new();
     if body.probability.is_some_and(|probability| !(0.0..=1.0).contains(&probability)) {
         faults.push(FieldError::new("/probability", "out_of_range", "must be from 0 to 1"));
-    }
-    if body.danger_level.is_some_and(|level| !(1..=5).contains(&level)) {
-        faults.push(FieldError::new("/danger_level", "out_of_range", "must be from 1 to 5"));
     }
     if body.note.as_ref().is_some_and(|note| note.chars().count() > LONGEST_NOTE) {
         faults.push(FieldError::new("/note", "too_long", format!("must be at most {LONGEST_NOTE} characters")));

@@ -1,7 +1,7 @@
 //! SMET, the text format of MeteoIO for weather stations (specification version 1.1 and 1.2, "SMET ASCII"): one row a day.
 //!
 //! A header of `key = value` lines names the `fields`, how each is brought to SI (`raw * units_multiplier + units_offset`) and
-//! the number that stands for missing (`nodata`); then come rows of numbers between white space. What [`write`] writes, [`read`]
+//! the number that stands for missing (`nodata`); then come rows of numbers between white space. What [`write()`] writes, [`read`]
 //! reads back as the same values.
 //!
 //! | field | in SI | here |

@@ -1,4 +1,4 @@
-//! Figures of results: what is drawn stands here, how it is drawn in [`plot`].
+//! Figures of results: what is drawn stands here, how it is drawn in `plot`.
 
 mod axes;
 mod comparison;

@@ -25,7 +25,7 @@ pub const GRAVITY_M_S2: f64 = 9.81;
 pub const LIMITED_ABOVE: f64 = 0.2;
 
 /// The usual value of [`Setup::limited_beyond`]: what flows on a bed with friction as a whole stays below it.
-pub const LIMITED_BEYOND: f64 = 0.6;
+pub const LIMITED_BEYOND: f64 = 0.75;
 
 /// Cells above the bed at which a node still counts as lying on it.
 const ON_BED: f64 = 1e-6;
