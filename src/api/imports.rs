@@ -229,9 +229,16 @@ pub async fn import_observations(
     store(&state, &station, rows, query.partial.unwrap_or(false), caller).await
 }
 
+/// Characters of a mapping: as part of an address it must stay below what servers and proxies take.
+const LONGEST_MAPPING: usize = 4000;
+
 fn read_mapping(text: &str) -> Result<CheckedMapping, Problem> {
     let fault =
         |pointer: String, code: &str, detail: String| Problem::field(Code::InvalidMapping, pointer, code, detail);
+    if text.chars().count() > LONGEST_MAPPING {
+        let detail = format!("must be at most {LONGEST_MAPPING} characters");
+        return Err(fault("/mapping".to_owned(), "too_long", detail));
+    }
     let mut reader = serde_json::Deserializer::from_str(text);
     let mapping: Mapping = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
         let path = error.path().to_string().replace('.', "/");
