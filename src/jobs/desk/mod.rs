@@ -331,6 +331,27 @@ impl Desk {
         Ok(())
     }
 
+    /// Removes what lies in the artifact store and nobody names: outputs and data sets that were stored when the process was
+    /// killed, before their row was. Says how many there were.
+    ///
+    /// # Errors
+    /// [`Problem`] where the store or the database does not answer.
+    pub async fn sweep_artifacts(&self) -> Result<usize, Problem> {
+        // while nobody waits: what is stored meanwhile is not among them, and what is named meanwhile is looked at again
+        let stored = self.0.artifacts.digests().await.map_err(Problem::internal)?;
+        let mut removed = 0;
+        for some in stored.chunks(1000) {
+            if self.0.store.unnamed(some).await.map_err(Problem::internal)?.is_empty() {
+                continue;
+            }
+            let _alone = self.0.naming.write().await;
+            let spare = self.0.store.unnamed(some).await.map_err(Problem::internal)?;
+            self.0.artifacts.remove(&spare).await;
+            removed += spare.len();
+        }
+        Ok(removed)
+    }
+
     /// Issues tickets; where the engine does not answer, the caretaker issues them later.
     pub async fn ticket(&self, jobs: &[(Uuid, u8, u32)]) {
         if jobs.is_empty() {
