@@ -6,7 +6,7 @@ use std::{
 };
 
 use firn::{
-    domain::job::{Job, Labels, Priority, Report, Spent},
+    domain::job::{Job, Labels, Priority, Report, Spent, Wanted},
     jobs::{
         Desk, Rules, Submission, Submitted,
         artifacts::Artifacts,
@@ -100,6 +100,7 @@ impl Rig {
             process: Process::Echo,
             inputs,
             labels: Labels::new(),
+            wanted: Wanted::default(),
             priority: Priority::try_from(priority).unwrap(),
             submitted_by: None,
             anew: false,

@@ -28,7 +28,7 @@ use crate::{
     domain::{
         dataset::Dataset,
         ids::new_id,
-        job::{Job, Labels, Priority, Report, Spent, Status},
+        job::{Job, Labels, Priority, Report, Spent, Status, Wanted},
         problem::{Code, Problem},
     },
     store::{
@@ -79,6 +79,8 @@ pub struct Submission {
     pub inputs: Value,
     /// Names and values to find the job again.
     pub labels: Labels,
+    /// Which outputs are wanted.
+    pub wanted: Wanted,
     /// How urgent it is.
     pub priority: Priority,
     /// Who asks.
@@ -256,7 +258,8 @@ impl Desk {
         let accepted = process.accept(self.shelf(), &submission.inputs).await?;
         if process.is_pure() && !submission.anew {
             let version = env!("CARGO_PKG_VERSION");
-            let same = store.job_of_input(process.id(), &accepted.hash, version).await.map_err(Problem::internal)?;
+            let same = store.job_of_input(process.id(), &accepted.hash, version, &submission.wanted).await;
+            let same = same.map_err(Problem::internal)?;
             if let Some(job) = same {
                 let answer = render(&job, true);
                 if let Some(reservation) = &submission.reservation {
@@ -271,6 +274,7 @@ impl Desk {
         }
         let mut job = new_job(process, accepted.inputs, accepted.hash);
         job.labels = submission.labels;
+        job.wanted = submission.wanted;
         job.priority = submission.priority;
         job.submitted_by = submission.submitted_by;
         let answer = render(&job, false);
@@ -401,6 +405,7 @@ fn new_job(process: Process, inputs: Value, input_hash: String) -> Job {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         submitted_by: None,
         labels: Labels::new(),
+        wanted: Wanted::default(),
         priority: Priority::default(),
         parent: None,
         position: None,
