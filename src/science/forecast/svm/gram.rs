@@ -117,10 +117,7 @@ impl Gram {
     /// What is written must be finite.
     pub(super) fn gnomons(&mut self) -> Vec<Gnomon<'_>> {
         let blocks = self.stride / TILE;
-        let of = |block: usize| Gnomon {
-            across: Vec::with_capacity(TILE),
-            down: Vec::with_capacity(block * TILE),
-        };
+        let of = |block: usize| Gnomon { across: Vec::with_capacity(TILE), down: Vec::with_capacity(block * TILE) };
         let mut gnomons: Vec<Gnomon<'_>> = (0..blocks).map(of).collect();
         for (i, row) in self.values.chunks_exact_mut(self.stride.max(1)).enumerate() {
             let block = i / TILE;
