@@ -336,8 +336,13 @@ impl Speaker {
             || "the station has no observations at all".to_owned(),
             |nearest| format!("the nearest day with one is {nearest}"),
         );
+        let day = state.store.day(&self.station.id, date).await?;
+        let hint = match day.as_ref().and_then(StoredDay::forecast_record) {
+            Some(_) if self.lead == 0 => "; its weather forecast is read with lead=1&weather=forecast",
+            _ => "",
+        };
         let detail = format!(
-            "{} has no observation of {date} that the model reads, and a forecast of lead {} needs one; {nearest}",
+            "{} has no observation of {date} that the model reads, and a forecast of lead {} needs one; {nearest}{hint}",
             self.station.id, self.lead
         );
         Ok(Problem::new(Code::NoObservation, detail))

@@ -127,7 +127,8 @@ async fn a_forecast_says_that_it_read_a_weather_forecast_and_is_verified_as_such
     app.get(&forecast(tomorrow, with)).await.problem("no-forecast-weather");
     app.put(&observation(tomorrow), &storm()).await.json(201);
     // a nowcast does not read it
-    app.get(&forecast(tomorrow, "")).await.problem("no-observation");
+    let refused = app.get(&forecast(tomorrow, "")).await.problem("no-observation");
+    assert!(refused["detail"].as_str().unwrap().ends_with("lead=1&weather=forecast"), "{refused}");
     assert_eq!(app.get(&forecast(tomorrow, "?weather=forecast")).await.pointers("invalid-parameter"), ["/weather"]);
     let said = app.read(&forecast(tomorrow, with)).await;
     assert_eq!((&said["lead"], &said["base_date"]), (&json!(1), &json!(today.to_string())));
