@@ -15,8 +15,11 @@ const AT_BOUND: f64 = 1e-12;
 /// How often a residual is computed afresh before a fit counts as failed.
 const MAX_REFRESHES: usize = 20;
 
-/// Iterations between two looks at whether the caller still wants the result.
+/// Most iterations between two looks at whether the caller still wants the result.
 const ITERATIONS_A_LOOK: usize = 8192;
+
+/// Multiplications between two looks, about: some hundredths of a second.
+const WORK_A_LOOK: usize = 1 << 26;
 
 /// The dual problem in signed variables (see [`super`]) with a feasible point. Arrays are padded to whole lanes with
 /// entries that can neither rise nor fall.
@@ -156,12 +159,21 @@ impl Dual {
 
     /// The residual from the definition, in row order: what makes a point that is kept valid for other `rows`.
     pub(super) fn refresh(&mut self, rows: &mut dyn Rows) {
+        self.refresh_unless(rows, &|| false);
+    }
+
+    /// [`Self::refresh`] until `stop` says so; whether it came to its end.
+    fn refresh_unless(&mut self, rows: &mut dyn Rows, stop: &dyn Fn() -> bool) -> bool {
         self.residual.copy_from_slice(&self.target);
         for j in 0..rows.count() {
             if self.beta[j] != 0.0 {
+                if stop() {
+                    return false;
+                }
                 subtract_row(&mut self.residual, self.beta[j], rows.row(j));
             }
         }
+        true
     }
 
     /// The residual from the decision values without threshold of the present point, one a row: what makes a point that is kept
@@ -236,7 +248,9 @@ impl Dual {
         let mut gap = f64::INFINITY;
         for _ in 0..MAX_REFRESHES {
             self.descend_fully(rows, options, &mut iterations, stop)?;
-            self.refresh(rows);
+            if !self.refresh_unless(rows, stop) {
+                return Err(SolverError::Cancelled);
+            }
             let (most, least) = self.extremes();
             gap = most - least;
             if gap.is_nan() {
@@ -285,8 +299,10 @@ impl Dual {
         iterations: &mut usize,
         stop: &dyn Fn() -> bool,
     ) -> Result<(), SolverError> {
+        // an iteration reads two rows, which may have to be computed first
+        let a_look = (WORK_A_LOOK / (2 * rows.row_work()).max(1)).clamp(1, ITERATIONS_A_LOOK);
         loop {
-            let budget = ITERATIONS_A_LOOK.min(options.max_iterations - *iterations);
+            let budget = a_look.min(options.max_iterations - *iterations);
             let (done, finished) = descend(self, rows, options.epsilon, budget);
             *iterations += done;
             if finished {
