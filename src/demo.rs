@@ -83,5 +83,6 @@ pub async fn start(state: &AppState, address: SocketAddr) -> Result<(), ServerEr
 }
 
 fn write(day: &DayRecord) -> DayWrite {
-    DayWrite { date: day.date, values: Some(day.values), avalanche: Some(AvalancheRecord::of(day.activity)) }
+    let avalanche = Some(AvalancheRecord::of(day.activity));
+    DayWrite { date: day.date, values: Some(day.values), forecast: false, avalanche }
 }

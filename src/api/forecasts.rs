@@ -30,6 +30,7 @@ use crate::{
         day::{DayRecord, season_of},
         model::{Category, Explanation, Forecast, ForecastError, InputQuality, SimilarDay, TrainedModel},
     },
+    store::observations::StoredDay,
 };
 
 /// Days between the last observation and the day that is forecast.
@@ -50,6 +51,17 @@ impl TryFrom<f64> for Lead {
     }
 }
 
+/// What the weather of the day itself is to a forecast.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Weather {
+    /// What was observed up to the base day.
+    #[default]
+    Observed,
+    /// The weather forecast of the day stands in for what will be observed.
+    Forecast,
+}
+
 /// Which forecast of the day.
 #[derive(Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
@@ -59,6 +71,10 @@ pub struct ForecastQuery {
     #[serde(default)]
     #[param(value_type = Option<u8>, minimum = 0, maximum = 1, default = 0)]
     lead: Lead,
+    /// `forecast`, only with `lead=1`: the active model of lead 0 reads the weather forecast of the day in the place of observations.
+    #[serde(default)]
+    #[param(value_type = Option<String>, pattern = "^(observed|forecast)$", default = "observed")]
+    weather: Weather,
     /// A model other than the active one; it must be of this station and lead.
     #[serde(default)]
     model_id: Option<Uuid>,
@@ -73,6 +89,10 @@ pub struct SimilarQuery {
     #[serde(default)]
     #[param(value_type = Option<u8>, minimum = 0, maximum = 1, default = 0)]
     lead: Lead,
+    /// `forecast`, only with `lead=1`: the active model of lead 0 reads the weather forecast of the day in the place of observations.
+    #[serde(default)]
+    #[param(value_type = Option<String>, pattern = "^(observed|forecast)$", default = "observed")]
+    weather: Weather,
     /// A model other than the active one; it must be of this station and lead.
     #[serde(default)]
     model_id: Option<Uuid>,
@@ -200,7 +220,9 @@ pub struct ForecastExplanation {
 /// The model that is to speak, and where its words come from.
 pub(super) struct Speaker {
     pub(super) station: Station,
+    /// Days between the last observation that is read and the day that is forecast.
     pub(super) lead: u8,
+    pub(super) weather: Weather,
     pub(super) id: Uuid,
     pub(super) model: Arc<TrainedModel>,
     provenance: Value,
@@ -212,26 +234,28 @@ impl Speaker {
         state: &AppState,
         station: &StationId,
         lead: Lead,
+        weather: Weather,
         model: Option<Uuid>,
     ) -> ApiResult<Self> {
-        let station = state.station(station).await?;
         let lead = lead.0;
+        let of_model = model_lead(lead, weather)?;
+        let station = state.station(station).await?;
         let id = match model {
             Some(id) => id,
-            None => match state.store.active_model(&station.id, lead).await? {
+            None => match state.store.active_model(&station.id, of_model).await? {
                 Some(activation) => activation.model,
-                None => return Err(models::none_active(&station.id, lead).into()),
+                None => return Err(models::none_active(&station.id, of_model).into()),
             },
         };
         let record = state.store.model(id).await?.ok_or_else(|| models::unknown(id))?;
-        if record.station != station.id || record.lead != lead {
-            let detail = format!("must be a model of station {} and lead {lead}", station.id);
+        if record.station != station.id || record.lead != of_model {
+            let detail = format!("must be a model of station {} and lead {of_model}", station.id);
             return Err(Problem::field(Code::ModelMismatch, "/model_id", "model_mismatch", detail).into());
         }
         let model = state.store.trained_model(id).await?.ok_or_else(|| models::unknown(id))?;
         let part = |name: &str| record.summary.get(name).cloned().unwrap_or(Value::Null);
         let synthetic = station.synthetic || part("synthetic").as_bool().unwrap_or(false);
-        Ok(Self { station, lead, id, model, provenance: part("provenance"), synthetic })
+        Ok(Self { station, lead, weather, id, model, provenance: part("provenance"), synthetic })
     }
 
     /// What the model reads for the forecasts of `first` to `last`: no feature reaches beyond the edge of a season.
@@ -246,13 +270,43 @@ impl Speaker {
         Ok(state.store.day_records(&self.station.id, from, last).await?)
     }
 
-    pub(super) fn resource(&self, forecast: Forecast) -> ForecastResource {
+    /// What the model reads for the forecast of `date`: with [`Weather::Forecast`] also the weather forecast of that day.
+    pub(super) async fn history_of(&self, state: &AppState, date: civil::Date) -> ApiResult<Vec<DayRecord>> {
+        let mut history = self.history(state, date, date).await?;
+        if self.weather == Weather::Forecast {
+            let day = state.store.day(&self.station.id, date).await?;
+            let weather = day.as_ref().and_then(StoredDay::forecast_record).ok_or_else(|| {
+                let why = match day {
+                    Some(day) if day.values.is_some() => "its weather was observed: ask for lead 0",
+                    _ => "record it as an observation of that day",
+                };
+                let detail = format!("{} has no weather forecast of {date}; {why}", self.station.id);
+                Problem::new(Code::NoForecastWeather, detail)
+            })?;
+            history.retain(|day| day.date != date);
+            history.push(weather);
+        }
+        Ok(history)
+    }
+
+    /// The forecast as it is answered; `history` is what it was made from.
+    pub(super) fn resource(&self, forecast: Forecast, history: &[DayRecord]) -> ForecastResource {
+        let mut inputs = forecast.inputs;
+        let mut base_date = forecast.base_date;
+        if self.weather == Weather::Forecast {
+            let day = history.iter().rfind(|day| day.date == forecast.date);
+            let read =
+                self.model.reported.iter().filter(|variable| day.is_some_and(|day| day.value(**variable).is_some()));
+            inputs.forecast_weather = read.map(|variable| variable.name().to_owned()).collect();
+            // the newest day that can have been observed
+            base_date = base_date.yesterday().unwrap_or(base_date);
+        }
         ForecastResource {
             station: self.station.id.clone(),
             synthetic: self.synthetic,
             date: Date(forecast.date),
-            lead: forecast.lead,
-            base_date: Date(forecast.base_date),
+            lead: self.lead,
+            base_date: Date(base_date),
             label: self.model.label,
             probability: forecast.probability,
             category: forecast.category,
@@ -261,7 +315,7 @@ impl Speaker {
             model_id: self.id,
             feature_set: self.model.feature_set,
             feature_set_version: self.model.feature_set_version,
-            inputs: forecast.inputs,
+            inputs,
             provenance: self.provenance.clone(),
         }
     }
@@ -282,29 +336,46 @@ impl Speaker {
             || "the station has no observations at all".to_owned(),
             |nearest| format!("the nearest day with one is {nearest}"),
         );
+        let day = state.store.day(&self.station.id, date).await?;
+        let hint = match day.as_ref().and_then(StoredDay::forecast_record) {
+            Some(_) if self.lead == 0 => "; its weather forecast is read with lead=1&weather=forecast",
+            _ => "",
+        };
         let detail = format!(
-            "{} has no observation of {date} that the model reads, and a forecast of lead {} needs one; {nearest}",
+            "{} has no observation of {date} that the model reads, and a forecast of lead {} needs one; {nearest}{hint}",
             self.station.id, self.lead
         );
         Ok(Problem::new(Code::NoObservation, detail))
     }
 
     pub(super) async fn forecast(&self, state: &AppState, date: civil::Date) -> ApiResult<ForecastResource> {
-        let history = self.history(state, date, date).await?;
+        let history = self.history_of(state, date).await?;
         match self.model.forecast(&history, date) {
-            Ok(forecast) => Ok(self.resource(forecast)),
+            Ok(forecast) => Ok(self.resource(forecast, &history)),
             Err(error) => Err(self.refuse(state, error).await?.into()),
         }
     }
 
     /// The newest day that can be forecast; what was recorded for days to come does not count.
-    async fn newest(&self, state: &AppState) -> ApiResult<civil::Date> {
+    pub(super) async fn newest(&self, state: &AppState) -> ApiResult<civil::Date> {
         let today = clock::today(&self.station.zone());
         let last = state.store.last_observation(&self.station.id, &self.model.reported, today).await?;
         let last = last.ok_or_else(|| {
             Problem::new(Code::NoObservation, format!("{} has no observation that the model reads", self.station.id))
         })?;
         Ok(last.checked_add(i64::from(self.lead).days()).unwrap_or(last))
+    }
+}
+
+/// The lead of the models that speak: one that reads the weather of the day itself, be it a forecast, is of lead 0.
+pub(super) fn model_lead(lead: u8, weather: Weather) -> Result<u8, Problem> {
+    match (lead, weather) {
+        (0, Weather::Forecast) => {
+            let detail = "forecast goes with lead=1: a forecast of lead 0 is made from what was observed on its day";
+            Err(Problem::field(Code::InvalidParameter, "/weather", "contradiction", detail))
+        }
+        (lead, Weather::Forecast) => Ok(lead - 1),
+        (lead, Weather::Observed) => Ok(lead),
     }
 }
 
@@ -324,7 +395,7 @@ pub async fn get_forecast(
     Query(query): Query<ForecastQuery>,
     conditions: Conditions,
 ) -> ApiResult<Response> {
-    let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
+    let speaker = Speaker::find(&state, &path.station, query.lead, query.weather, query.model_id).await?;
     respond::resource(&conditions, &speaker.forecast(&state, path.date.0).await?)
 }
 
@@ -337,7 +408,7 @@ pub async fn get_latest_forecast(
     Query(query): Query<ForecastQuery>,
     conditions: Conditions,
 ) -> ApiResult<Response> {
-    let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
+    let speaker = Speaker::find(&state, &path.station, query.lead, query.weather, query.model_id).await?;
     let date = speaker.newest(&state).await?;
     respond::resource(&conditions, &speaker.forecast(&state, date).await?)
 }
@@ -353,7 +424,7 @@ pub async fn list_forecasts(
     conditions: Conditions,
 ) -> ApiResult<Response> {
     const LONGEST_DAYS: i32 = 400;
-    let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
+    let speaker = Speaker::find(&state, &path.station, query.lead, Weather::Observed, query.model_id).await?;
     let last = match query.to {
         Some(to) => to.0,
         None => speaker.newest(&state).await?,
@@ -384,7 +455,7 @@ pub async fn list_forecasts(
         Ok(forecasts) => forecasts,
         Err(error) => return Err(speaker.refuse(&state, error).await?.into()),
     };
-    let forecasts = forecasts.into_iter().map(|forecast| speaker.resource(forecast)).collect();
+    let forecasts = forecasts.into_iter().map(|forecast| speaker.resource(forecast, &[])).collect();
     respond::resource(&conditions, &ForecastList { forecasts })
 }
 
@@ -399,8 +470,8 @@ pub async fn explain_forecast(
     Query(query): Query<ForecastQuery>,
     conditions: Conditions,
 ) -> ApiResult<Response> {
-    let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
-    let history = speaker.history(&state, path.date.0, path.date.0).await?;
+    let speaker = Speaker::find(&state, &path.station, query.lead, query.weather, query.model_id).await?;
+    let history = speaker.history_of(&state, path.date.0).await?;
     let explanation = match speaker.model.explain(&history, path.date.0) {
         Ok(explanation) => explanation,
         Err(error) => return Err(speaker.refuse(&state, error).await?.into()),
@@ -427,8 +498,8 @@ pub async fn list_similar_days(
     Query(query): Query<SimilarQuery>,
     conditions: Conditions,
 ) -> ApiResult<Response> {
-    let speaker = Speaker::find(&state, &path.station, query.lead, query.model_id).await?;
-    let history = speaker.history(&state, path.date.0, path.date.0).await?;
+    let speaker = Speaker::find(&state, &path.station, query.lead, query.weather, query.model_id).await?;
+    let history = speaker.history_of(&state, path.date.0).await?;
     let count = Limit::or_default(query.limit) as usize;
     let days = match speaker.model.similar_days(&history, path.date.0, count) {
         Ok(days) => days,

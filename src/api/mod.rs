@@ -2,6 +2,7 @@
 
 pub mod auth;
 mod avalanches;
+mod bulletins;
 mod dataset_hits;
 mod datasets;
 mod docs;
@@ -20,6 +21,7 @@ pub mod metrics;
 mod models;
 mod observations;
 pub mod openapi;
+mod overview;
 pub mod problem;
 mod processes;
 mod respond;

@@ -127,7 +127,7 @@ const REFUSALS: [(&str, &str); 15] = [
 fn further_refusals(operation_id: Option<&str>) -> &'static [&'static str] {
     match operation_id {
         Some("dismiss_job") => &["409", "412"],
-        Some("execute_process" | "put_forecaster_call") => &["409"],
+        Some("execute_process" | "put_forecaster_call" | "put_observation" | "import_observations") => &["409"],
         Some("issue_forecast") => &["409", "422"],
         Some("list_observations" | "list_hits" | "get_dataset_picture" | "get_model_selection") => &["406"],
         Some("delete_dataset") => &["412"],

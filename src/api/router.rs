@@ -22,11 +22,11 @@ use utoipa::OpenApi;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    AppState, auth, avalanches, dataset_hits, datasets, docs,
+    AppState, auth, avalanches, bulletins, dataset_hits, datasets, docs,
     extract::BodyLimit,
     feature_sets, forecasts, health, imports, issued, job_frames, job_history,
     job_results::{self, REPR_DIGEST},
-    jobs, landing, metrics, models, observations, openapi,
+    jobs, landing, metrics, models, observations, openapi, overview,
     problem::{ApiError, REQUEST_ID, from_panic},
     processes, scenarios, selections, stations, verification, what_if,
 };
@@ -93,6 +93,7 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(models::get_features))
         .routes(routes!(selections::get_selection))
         .routes(routes!(models::get_active_model, models::put_active_model))
+        .routes(routes!(overview::list_station_forecasts))
         .routes(routes!(forecasts::list_forecasts))
         .routes(routes!(forecasts::get_latest_forecast))
         .routes(routes!(forecasts::get_forecast, issued::issue_forecast))
@@ -102,6 +103,8 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(issued::get_issued_forecast))
         .routes(routes!(issued::put_forecaster_call))
         .routes(routes!(verification::verify_forecasts))
+        .routes(routes!(bulletins::list_bulletins))
+        .routes(routes!(bulletins::get_bulletin))
 }
 
 /// The contract of all addresses, before [`openapi`] completes it.

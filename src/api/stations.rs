@@ -19,7 +19,7 @@ use crate::{
     clock,
     domain::{
         ids::StationId,
-        station::{Station, StationBody, StationName, ZoneName},
+        station::{EawsRegion, Station, StationBody, StationName, ZoneName},
         units::{Altitude, Latitude, Longitude},
     },
     store::stations::Written,
@@ -84,6 +84,8 @@ pub struct StationResource {
     altitude_m: Option<Altitude>,
     /// IANA time zone of the station's local days; null: UTC.
     timezone: Option<ZoneName>,
+    /// Id of its region among the European avalanche warning services (EAWS); null: none is named.
+    eaws_region: Option<EawsRegion>,
     /// The variables that the station reports; null: whatever its observations contain.
     #[schema(value_type = Option<Vec<String>>)]
     variables: Option<Vec<&'static str>>,
@@ -116,6 +118,7 @@ impl From<Station> for StationResource {
             longitude: body.longitude,
             altitude_m: body.altitude_m,
             timezone: body.timezone,
+            eaws_region: body.eaws_region,
             variables: body.variables.map(|list| list.into_iter().map(|variable| variable.name()).collect()),
             synthetic: station.synthetic,
             revision: station.revision,

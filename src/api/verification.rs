@@ -10,7 +10,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::{
     AppState,
     extract::{Conditions, Date, Path, Query},
-    forecasts::Lead,
+    forecasts::{Lead, Weather, model_lead},
     problem::ApiResult,
     respond,
     stations::StationPath,
@@ -48,6 +48,10 @@ pub struct VerificationQuery {
     #[serde(default)]
     #[param(value_type = Option<u8>, minimum = 0, maximum = 1, default = 0)]
     lead: Lead,
+    /// `forecast`, only with `lead=1`: the forecasts that read a weather forecast of their day.
+    #[serde(default)]
+    #[param(value_type = Option<String>, pattern = "^(observed|forecast)$", default = "observed")]
+    weather: Weather,
     /// What counts as an avalanche day, `observed` or `presumed`: forecasts of models with the other label are left out.
     #[serde(default)]
     #[param(value_type = Option<String>, pattern = "^(observed|presumed)$", default = "observed")]
@@ -88,6 +92,9 @@ pub struct VerificationResource {
     synthetic: bool,
     /// Days between the last observation and the day that is forecast.
     lead: u8,
+    /// `forecast` where the weather of each day was a forecast, else `observed`.
+    #[schema(value_type = String, example = "observed")]
+    weather: Weather,
     /// What counts as an avalanche day.
     #[schema(value_type = String, example = "observed")]
     label: Label,
@@ -111,6 +118,7 @@ pub async fn verify_forecasts(
     Query(query): Query<VerificationQuery>,
     conditions: Conditions,
 ) -> ApiResult<Response> {
+    model_lead(query.lead.0, query.weather)?;
     let station = state.station(&path.station).await?;
     let (from, to) = (query.from.map_or(ALWAYS.0, |date| date.0), query.to.map_or(ALWAYS.1, |date| date.0));
     if from > to {
@@ -119,7 +127,8 @@ pub async fn verify_forecasts(
     }
     let (lead, label) = (query.lead.0, query.label.unwrap_or(Label::Observed));
     let (hindcasts, seed) = (query.hindcasts.unwrap_or(false), query.seed.unwrap_or(0));
-    let mut issued = state.store.issued_forecasts(&station.id, from, to, lead).await?;
+    let mut issued =
+        state.store.issued_forecasts(&station.id, from, to, lead, query.weather == Weather::Forecast).await?;
     issued.retain(|forecast| forecast.label == label && (hindcasts || !forecast.hindcast));
     let mut calls = state.store.forecaster_calls(&station.id, from, to, lead).await?;
     calls.retain(|call| hindcasts || !call.hindcast);
@@ -136,6 +145,7 @@ pub async fn verify_forecasts(
         station: station.id,
         synthetic: station.synthetic,
         lead,
+        weather: query.weather,
         label,
         hindcasts,
         waiting,

@@ -60,6 +60,8 @@ codes! {
     NotFound "not-found" 404 "There is nothing at this address" "The address is not one of the service. `/openapi.json` lists all of them.";
     UnknownStation "unknown-station" 404 "No such station" "Create the station first with `PUT /v1/stations/{station}`.";
     NoObservation "no-observation" 404 "There is no observation of that day" "Nothing was recorded for the day that was asked for.";
+    NoForecastWeather "no-forecast-weather" 404 "There is no weather forecast of that day" "A forecast with `weather=forecast` reads the weather forecast of its day. Record it with `PUT /v1/stations/{station}/observations/{date}` and `\"forecast\": true`; once the day is observed, ask for lead 0.";
+    AlreadyObserved "already-observed" 409 "The day was observed" "A weather forecast never replaces an observation. Leave `forecast` out to correct what was observed.";
     NoAvalancheRecord "no-avalanche-record" 404 "There is no avalanche record of that day" "Nobody recorded the avalanche activity of that day. That is not the same as none.";
     NoActiveModel "no-active-model" 404 "The station has no active model" "Train one with `POST /v1/processes/train-model/execution`; a station's first model becomes active by itself.";
     ModelOutdated "model-outdated" 404 "The active model can no longer forecast" "The model was trained with features that have changed since. Train it again with `POST /v1/processes/train-model/execution`.";

@@ -86,6 +86,9 @@ pub enum StoreError {
     /// The job is part of another one and goes with it.
     #[error("the job is part of job {0}")]
     Child(Uuid),
+    /// A weather forecast of a day that was observed.
+    #[error("{0} was observed")]
+    Observed(Date),
     /// The row that should change is not there.
     #[error("no such row")]
     Missing,

@@ -20,7 +20,7 @@ pub struct SelectionRecord {
     /// The curve, the ranking and the proposal.
     #[serde(flatten)]
     pub selection: FeatureSelection,
-    /// Version of firn and hash of the inputs.
+    /// Version of firn, hash of the inputs and seed.
     pub provenance: Value,
 }
 

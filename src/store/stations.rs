@@ -36,6 +36,7 @@ fn read(row: &SqliteRow) -> Result<Station> {
         "longitude": row.try_get::<Option<f64>, _>("longitude")?,
         "altitude_m": row.try_get::<Option<f64>, _>("altitude_m")?,
         "timezone": row.try_get::<Option<String>, _>("timezone")?,
+        "eaws_region": row.try_get::<Option<String>, _>("eaws_region")?,
         "variables": variables.map(|text| from_json::<serde_json::Value>(&text)).transpose()?,
     });
     Ok(Station {
@@ -102,10 +103,11 @@ impl Store {
         };
         let variables = body.variables.as_ref().map(to_json).transpose()?;
         let row = sqlx::query_as::<_, StationRow>(
-            "INSERT INTO station (id, name, latitude, longitude, altitude_m, timezone, variables, synthetic, revision, created, updated)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 1, ?9, ?9)
+            "INSERT INTO station (id, name, latitude, longitude, altitude_m, timezone, variables, synthetic, revision, created, updated,
+                                  eaws_region)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 1, ?9, ?9, ?10)
              ON CONFLICT (id) DO UPDATE SET name = ?2, latitude = ?3, longitude = ?4, altitude_m = ?5, timezone = ?6,
-                 variables = ?7, revision = revision + 1, updated = ?9
+                 variables = ?7, eaws_region = ?10, revision = revision + 1, updated = ?9
              RETURNING *",
         )
         .bind(id.as_str())
@@ -117,6 +119,7 @@ impl Store {
         .bind(variables)
         .bind(synthetic)
         .bind(now.to_string())
+        .bind(body.eaws_region.as_ref().map(|region| region.as_str()))
         .fetch_one(&mut *tx)
         .await?;
         tx.commit().await?;

@@ -34,7 +34,8 @@ async fn a_forecast_says_what_and_on_what_grounds() {
       "inputs": {
         "missing": "[names]",
         "imputed": "[names]",
-        "out_of_range": "[names]"
+        "out_of_range": "[names]",
+        "forecast_weather": []
       },
       "provenance": {
         "version": "[version]",

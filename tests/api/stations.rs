@@ -25,6 +25,7 @@ async fn a_station_is_made_and_read() {
       "longitude": -5.0,
       "altitude_m": 900.0,
       "timezone": "Europe/London",
+      "eaws_region": null,
       "variables": [
         "air_temperature",
         "wind_speed"
@@ -50,6 +51,7 @@ async fn all_but_the_name_may_be_left_out() {
       "longitude": null,
       "altitude_m": null,
       "timezone": null,
+      "eaws_region": null,
       "variables": null,
       "synthetic": false,
       "revision": 1,

@@ -28,7 +28,7 @@ use crate::{
         problem::{FieldError, Problem},
         schema,
     },
-    formats::selection_svg,
+    formats::figures::{self, DrawError, ImageFormat},
     jobs::{
         link::{Artifact, Output},
         processes::Failure,
@@ -110,7 +110,7 @@ pub fn description() -> Description {
             },
             "ranking": {"title": "Features, the most useful first", "schema": {"type": "array"}},
             "picture": {"title": "The curve as SVG, by reference", "schema": {"type": "object"}},
-            "provenance": {"title": "Version and input hash", "schema": {"type": "object"}},
+            "provenance": {"title": "Version, input hash and seed", "schema": {"type": "object"}},
         }),
         example: json!({"inputs": {"station": "lochaber", "label": "observed", "lead": 0}}),
     }
@@ -174,24 +174,27 @@ pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output,
         TrainingError::Cancelled => Failure::Cancelled,
         error => Failure::Science(error.to_string()),
     })?;
-    let picture = picture(&selection);
+    let picture = picture(&selection, payload.synthetic).map_err(|error| Failure::Science(error.to_string()))?;
+    // nothing of an elimination is drawn by lot: the seed is that of the trainings that it is for
+    let seed = payload.inputs.training().seed;
     let record = SelectionRecord {
         station: payload.inputs.station,
         synthetic: payload.synthetic,
         selection,
-        provenance: json!({"version": payload.version, "input_hash": payload.input_hash}),
+        provenance: json!({"version": payload.version, "input_hash": payload.input_hash, "seed": seed}),
     };
     let results = serde_json::to_value(&record).map_err(train_model::science)?;
     Ok(Output { keep: Some(results.clone()), results, artifacts: vec![picture], ..Output::default() })
 }
 
-fn picture(selection: &FeatureSelection) -> Artifact {
-    Artifact {
+fn picture(selection: &FeatureSelection, synthetic: bool) -> Result<Artifact, DrawError> {
+    let format = ImageFormat::Svg;
+    Ok(Artifact {
         name: "picture".to_owned(),
-        media_type: "image/svg+xml".to_owned(),
-        bytes: selection_svg::draw(selection, None).into_bytes(),
+        media_type: format.media_type().to_owned(),
+        bytes: figures::of_selection(selection, None, synthetic).draw(format)?,
         ..Artifact::default()
-    }
+    })
 }
 
 /// The selection as the store keeps it.

@@ -38,6 +38,7 @@ pub async fn synthetic(store: Store, id: &'static str, days: Vec<DayRecord>) {
     let write = |day: &DayRecord| DayWrite {
         date: day.date,
         values: Some(day.values),
+        forecast: false,
         avalanche: Some(AvalancheRecord::of(day.activity)),
     };
     let writes: Vec<DayWrite> = days.iter().map(write).collect();

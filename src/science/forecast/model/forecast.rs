@@ -117,6 +117,9 @@ pub struct InputQuality {
     pub imputed: Vec<String>,
     /// Features outside of their range in training: the machine extrapolates.
     pub out_of_range: Vec<String>,
+    /// Variables of the day itself that were taken from a weather forecast and not observed.
+    #[serde(default)]
+    pub forecast_weather: Vec<String>,
 }
 
 /// A support vector and what it says.
@@ -204,6 +207,7 @@ impl TrainedModel {
                 missing,
                 imputed: self.names(row.imputed.into_iter().filter(|&j| self.preparation.columns()[j].used)),
                 out_of_range: self.names(row.out_of_range.into_iter()),
+                forecast_weather: Vec::new(),
             },
         })
     }
