@@ -42,8 +42,7 @@ pub struct OverviewQuery {
     limit: Option<Limit<100, 1000>>,
     /// Where the page begins: `next` of the page before.
     #[serde(default)]
-    #[param(value_type = Option<String>, max_length = 64)]
-    cursor: Option<StationId>,
+    cursor: Option<String>,
 }
 
 /// A station with its forecast.
@@ -97,8 +96,8 @@ pub async fn list_station_forecasts(
 ) -> ApiResult<Response> {
     model_lead(query.lead.0, query.weather)?;
     let limit = Limit::or_default(query.limit);
-    let after = query.cursor.as_ref().map_or("", StationId::as_str);
-    let mut stations = state.store.stations(after, limit + 1).await?;
+    let after = query.cursor.unwrap_or_default();
+    let mut stations = state.store.stations(&after, limit + 1).await?;
     let more = stations.len() > limit as usize;
     stations.truncate(limit as usize);
     let next = stations.last().filter(|_| more).map(|last| last.id.to_string());

@@ -31,6 +31,7 @@ async fn every_station_is_in_the_list_with_its_forecast_or_the_reason_why_there_
         page.header("link")
     );
     assert_eq!(page.json(200)["next"], "b");
+    assert_eq!(app.read("/v1/forecasts?cursor=").await, list, "from the beginning");
     let rest = app.read("/v1/forecasts?limit=2&cursor=b").await;
     assert_eq!((&rest["forecasts"][0]["station"], &rest["next"]), (&json!("c"), &Value::Null));
     for (query, pointer) in
