@@ -7,6 +7,10 @@
 //! the ridge penalty, base rates, and each model's threshold, which is chosen on out-of-fold probabilities of inner
 //! [season folds](folds). Scores pool the held-out days of all seasons, each day judged by the threshold of its own split.
 //!
+//! Of a region whose stations feed one model, every station and day is a row to learn from; what is scored is the region's
+//! day, with the mean of what its stations give it, for every model alike. All stations of a season stand on the same side
+//! of every split: what one of them saw would tell the label of the others.
+//!
 //! Splits run side by side and are put together in order of season: the result has the same bits at any number of threads.
 
 use jiff::civil::Date;
@@ -32,7 +36,7 @@ use folds::{seasons_before_chaining, seasons_of_each_class};
 pub(crate) use forecasters::Part;
 pub use per_model::PerModel;
 pub(crate) use resume::Done;
-pub(crate) use samples::{Samples, before, is_recorded, variables_read};
+pub(crate) use samples::{Samples, before, by_day, first_of, is_recorded, variables_read};
 pub(crate) use share::{Share, Shares};
 
 /// Bins of the reliability diagram.
@@ -46,7 +50,7 @@ pub const LEVEL: f64 = 0.95;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Evaluation {
-    /// Scored days.
+    /// Scored days; of a region each day once, however many of its stations were recorded.
     pub days: usize,
     /// Avalanche days among them.
     pub events: usize,
@@ -249,26 +253,34 @@ fn judge(
     }
     let part = Part::new(samples, &split.training);
     let svm = part.svm(options, progress)?;
-    let probabilities = part.probabilities(&svm, &split.test, progress)?;
-    let threshold = probabilities
-        .try_map(|p| options.threshold.choose(&p.out_of_fold, part.event()).ok_or(TrainingError::NoThreshold))?;
-    let outcomes = |threshold: f64, probability: &[f64]| {
-        let days = split.test.iter().zip(probability).zip(&probabilities.climatology.test);
-        days.map(|((&i, &probability), &reference)| Outcome {
-            probability,
-            warned: probability >= threshold,
-            event: samples.event[i],
-            reference,
-        })
-        .collect::<Vec<_>>()
-    };
+    let probabilities = part.probabilities(part.speak(&svm, &split.test), &split.test, progress)?;
+    let (learnt, tested) = (samples.days_of(&split.training), samples.days_of(&split.test));
+    let known = first_of(&learnt, part.event());
+    let threshold = probabilities.try_map(|p| {
+        options.threshold.choose(&by_day(&learnt, &p.out_of_fold), &known).ok_or(TrainingError::NoThreshold)
+    })?;
+    let probability = probabilities.map(|p| by_day(&tested, &p.test));
+    let event: Vec<bool> = tested.iter().map(|day| samples.event[split.test[day.start]]).collect();
     Ok(Judged {
         season: split.season,
-        outcomes: probabilities.zip_with(&threshold, |p, &threshold| outcomes(threshold, &p.test)),
+        outcomes: probability
+            .zip_with(&threshold, |p, &threshold| outcomes(p, threshold, &event, &probability.climatology)),
         threshold,
         c: svm.best.c,
         gamma: svm.best.gamma,
     })
+}
+
+/// What was said of each day at a threshold, and what happened.
+pub(crate) fn outcomes(probability: &[f64], threshold: f64, event: &[bool], reference: &[f64]) -> Vec<Outcome> {
+    let days = probability.iter().zip(event).zip(reference);
+    let outcome = |((&probability, &event), &reference): ((&f64, &bool), &f64)| Outcome {
+        probability,
+        warned: probability >= threshold,
+        event,
+        reference,
+    };
+    days.map(outcome).collect()
 }
 
 fn report(samples: &Samples, held_out: &[Judged], chained: &[Judged], options: &TrainingOptions) -> Evaluation {
@@ -276,22 +288,25 @@ fn report(samples: &Samples, held_out: &[Judged], chained: &[Judged], options: &
     let pooled = pool(held_out);
     let scores = pooled.map(|o| Scores::of(o, cost_loss));
     let probability: Vec<f64> = pooled.svm.iter().map(|o| o.probability).collect();
-    let reliability = bins(&probability, &samples.event, RELIABILITY_BINS);
-    let events = count_events(&pooled.svm);
+    let event: Vec<bool> = pooled.svm.iter().map(|o| o.event).collect();
+    let season: Vec<usize> =
+        held_out.iter().flat_map(|judged| vec![judged.season; judged.outcomes.svm.len()]).collect();
+    let reliability = bins(&probability, &event, RELIABILITY_BINS);
+    let (days, events) = (pooled.svm.len(), count_events(&pooled.svm));
     Evaluation {
-        days: samples.len(),
+        days,
         events,
         seasons: samples.seasons.len(),
-        base_rate: events as f64 / samples.len() as f64,
+        base_rate: events as f64 / days as f64,
         first: samples.date.first().copied().unwrap_or_default(),
         last: samples.date.last().copied().unwrap_or_default(),
         scores,
         per_season: held_out.iter().map(|judged| season_scores(samples, judged, cost_loss)).collect(),
-        brier_decomposition: decomposition(&probability, &samples.event, &reliability),
+        brier_decomposition: decomposition(&probability, &event, &reliability),
         reliability,
-        roc: curve(&probability, &samples.event),
+        roc: curve(&probability, &event),
         forward_chaining: forward_chaining(samples, chained, cost_loss),
-        bootstrap: bootstrap(samples, &pooled, options.seed),
+        bootstrap: bootstrap(samples.seasons.len(), &season, &pooled, options.seed),
     }
 }
 
@@ -334,9 +349,10 @@ fn forward_chaining(samples: &Samples, chained: &[Judged], cost_loss: Option<f64
     })
 }
 
-fn bootstrap(samples: &Samples, pooled: &PerModel<Vec<Outcome>>, seed: u64) -> Bootstrap {
-    let draws = SeasonDraws::new(samples.seasons.len(), REPLICATES, seed);
-    let replicates = pooled.map(|outcomes| replicate(outcomes, &samples.season, &draws));
+/// `season` is the position of the season of each outcome among the `seasons`.
+pub(crate) fn bootstrap(seasons: usize, season: &[usize], pooled: &PerModel<Vec<Outcome>>, seed: u64) -> Bootstrap {
+    let draws = SeasonDraws::new(seasons, REPLICATES, seed);
+    let replicates = pooled.map(|outcomes| replicate(outcomes, season, &draws));
     let intervals = |r: &Replicates| Intervals {
         auc: interval(&r.auc, LEVEL),
         pss: interval(&r.pss, LEVEL),
