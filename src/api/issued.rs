@@ -179,6 +179,7 @@ pub async fn issue_forecast(
         date: path.date.0,
         lead: speaker.lead,
         model: speaker.id,
+        region: speaker.region.as_ref().map(|region| region.id.clone()),
         probability: forecast.probability,
         warned: forecast.category == Category::AvalancheDay,
         base_rate: speaker.model.base_rate,

@@ -55,13 +55,15 @@ codes! {
     ImportRefused "import-refused" 422 "Rows were refused, so nothing was stored" "At least one row was refused, and an import stores all rows or none. Mend the rows in `errors`, or repeat with `partial=true` to store the others. `report` has a line a row.";
     TrainingWindow "training-window" 422 "The training window cannot train a model" "A model needs at least three seasons and both avalanche days and other days. Widen `from` and `to`, or import more.";
     Unauthorized "unauthorized" 401 "A valid key is needed" "Send `Authorization: Bearer KEY` with a key made by `firn key create` that is neither revoked nor expired.";
-    Forbidden "forbidden" 403 "The key may not do this" "The role of the key does not allow this call. Reading needs `reader`, writing observations and starting jobs `forecaster`, activating models `operator`.";
+    Forbidden "forbidden" 403 "The key may not do this" "The role of the key does not allow this call. Reading needs `reader`, writing observations and starting jobs `forecaster`, activating models, regions and the audit `operator`.";
     CrossOrigin "cross-origin" 403 "A request from another site was refused" "A browser sent this request from a page of another origin. Call the service from its own pages or from a program.";
     NotFound "not-found" 404 "There is nothing at this address" "The address is not one of the service. `/openapi.json` lists all of them.";
     UnknownStation "unknown-station" 404 "No such station" "Create the station first with `PUT /v1/stations/{station}`.";
+    UnknownRegion "unknown-region" 404 "No such region" "Create the region first with `PUT /v1/regions/{region}`.";
+    NoEarlierModel "no-earlier-model" 409 "There is no earlier model to go back to" "Nothing was active before the active model, or before the one that the last roll-back restored.";
     NoObservation "no-observation" 404 "There is no observation of that day" "Nothing was recorded for the day that was asked for.";
     NoAvalancheRecord "no-avalanche-record" 404 "There is no avalanche record of that day" "Nobody recorded the avalanche activity of that day. That is not the same as none.";
-    NoActiveModel "no-active-model" 404 "The station has no active model" "Train one with `POST /v1/processes/train-model/execution`; a station's first model becomes active by itself.";
+    NoActiveModel "no-active-model" 404 "There is no active model" "Train one with `POST /v1/processes/train-model/execution`; the first model of a station or region becomes active by itself.";
     ModelOutdated "model-outdated" 404 "The active model can no longer forecast" "The model was trained with features that have changed since. Train it again with `POST /v1/processes/train-model/execution`.";
     UnknownModel "unknown-model" 404 "No such model" "The model id is not known. `GET /v1/models` lists the models.";
     InvalidMapping "invalid-mapping" 422 "The mapping of the columns is not acceptable" "`mapping` must be JSON that names the column of the date and, for each other column, a variable and a unit in which it can come. `errors` has a pointer to each name or unit that is not known.";
@@ -87,7 +89,7 @@ codes! {
     PayloadTooLarge "payload-too-large" 413 "The body is too large" "The body exceeds the limit in the detail. Send it in several parts.";
     Misdirected "misdirected" 421 "The request was meant for another host" "A service that needs no key answers only to the name of its own machine, so that no page of the web can reach it under a name of its own. Use `localhost` or the address; behind a proxy start with a key or with `--allow-anonymous`.";
     UnsupportedMediaType "unsupported-media-type" 415 "The content type is not supported" "The detail lists the content types that this call accepts.";
-    ModelMismatch "model-mismatch" 422 "The model does not fit the station" "The model was trained for another station or lead. Name one of this station and lead.";
+    ModelMismatch "model-mismatch" 422 "The model does not fit the station" "The model was trained for another station, region or lead. Name one of this place and lead.";
     Interrupted "interrupted" 500 "The job was interrupted" "The service ended while the job was running. Submit it again.";
     CrashedRepeatedly "crashed-repeatedly" 500 "The job took its worker down" "Several attempts in a row ended without a word. The job is not tried again.";
     Stalled "stalled" 500 "The job stood still" "The computation made no step for longer than the operator allows (`--stall-s`), and was given up. The same inputs would stand still again: change them, or report the job to the operator.";

@@ -1,9 +1,12 @@
 //! Stations.
 
-use jiff::Timestamp;
 use sqlx::{FromRow, Row, sqlite::SqliteRow};
 
-use super::{Result, Store, StoreError, from_json, parse_timestamp, to_json};
+use super::{
+    Result, Store, StoreError,
+    audit::{self, Action, Actor, NewEntry},
+    from_json, parse_timestamp, to_json,
+};
 use crate::domain::{
     ids::StationId,
     station::{Station, StationBody},
@@ -83,7 +86,7 @@ impl Store {
         id: &StationId,
         body: &StationBody,
         synthetic: bool,
-        now: Timestamp,
+        actor: &Actor,
         permits: impl FnOnce(Option<&Station>) -> bool,
     ) -> Result<(Station, Written)> {
         let mut tx = self.begin().await?;
@@ -95,10 +98,10 @@ impl Store {
         if !permits(before.as_ref()) {
             return Err(StoreError::Precondition);
         }
-        let written = match &before {
+        let (written, action) = match &before {
             Some(station) if station.body == *body => return Ok((station.clone(), Written::Unchanged)),
-            Some(_) => Written::Updated,
-            None => Written::Created,
+            Some(_) => (Written::Updated, Action::StationChanged),
+            None => (Written::Created, Action::StationCreated),
         };
         let variables = body.variables.as_ref().map(to_json).transpose()?;
         let row = sqlx::query_as::<_, StationRow>(
@@ -116,9 +119,17 @@ impl Store {
         .bind(body.timezone.as_ref().map(|zone| zone.as_str()))
         .bind(variables)
         .bind(synthetic)
-        .bind(now.to_string())
+        .bind(actor.at.to_string())
         .fetch_one(&mut *tx)
         .await?;
+        let entry = NewEntry {
+            action,
+            target: &format!("/v1/stations/{id}"),
+            reason: None,
+            before: before.map(|station| serde_json::to_value(station.body)).transpose().map_err(StoreError::corrupt)?,
+            after: Some(serde_json::to_value(body).map_err(StoreError::corrupt)?),
+        };
+        audit::write(&mut tx, actor, entry).await?;
         tx.commit().await?;
         Ok((row.0, written))
     }

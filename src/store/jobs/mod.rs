@@ -19,7 +19,7 @@ pub use idempotency::{Answer, Held, Reservation};
 pub use outputs::OutputRecord;
 use rows::JobRow;
 
-use super::{Result, Store, StoreError, models::NewModel, selections::NewSelection, to_json};
+use super::{Result, Store, StoreError, models::NewModel, selections::NewSelection, to_json, transfers::NewTransfer};
 use crate::domain::{
     dataset::Dataset,
     job::{Event, Job, Status},
@@ -34,6 +34,8 @@ pub enum Kept {
     Dataset(Box<Dataset>),
     /// What a feature elimination found.
     Selection(Box<NewSelection>),
+    /// How a model did at another place.
+    Transfer(Box<NewTransfer>),
 }
 
 /// Which jobs a list shows.

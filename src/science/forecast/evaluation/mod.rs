@@ -17,6 +17,7 @@ use jiff::civil::Date;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+mod comparison;
 pub mod folds;
 mod forecasters;
 mod per_model;
@@ -33,7 +34,9 @@ use super::verification::{Outcome, Scores};
 use crate::progress::Progress;
 pub(crate) use folds::inner_folds;
 use folds::{seasons_before_chaining, seasons_of_each_class};
-pub(crate) use forecasters::Part;
+pub use comparison::{Comparison, Differences, SeasonComparison, Verdict};
+pub(crate) use comparison::work_of_both;
+pub(crate) use forecasters::{Part, Probabilities};
 pub use per_model::PerModel;
 pub(crate) use resume::Done;
 pub(crate) use samples::{Samples, before, by_day, first_of, is_recorded, variables_read};
@@ -218,6 +221,31 @@ pub(crate) fn evaluate(
     options: &TrainingOptions,
     shares: &Shares<'_>,
 ) -> Result<Evaluation, TrainingError> {
+    let (held_out, chained) = judge_all(samples, plan, options, shares)?;
+    Ok(report(samples, &held_out, &chained, options))
+}
+
+/// The same beside the recipe on `active_seasons` alone; `shares` has the parts of [`work_of_both`].
+pub(crate) fn evaluate_against(
+    samples: &Samples,
+    plan: &Plan,
+    active_seasons: &[i16],
+    options: &TrainingOptions,
+    shares: &Shares<'_>,
+) -> Result<(Evaluation, Option<Comparison>), TrainingError> {
+    let (held_out, chained) = judge_all(samples, plan, options, shares)?;
+    let first = plan.splits().count();
+    let comparison = comparison::compare(samples, &held_out, active_seasons, options, shares, first)?;
+    Ok((report(samples, &held_out, &chained, options), comparison))
+}
+
+/// The held-out seasons and the chained ones.
+fn judge_all(
+    samples: &Samples,
+    plan: &Plan,
+    options: &TrainingOptions,
+    shares: &Shares<'_>,
+) -> Result<(Vec<Judged>, Vec<Judged>), TrainingError> {
     let splits: Vec<&Split> = plan.splits().collect();
     let done = Done::resume(samples, options, splits.len(), shares.whole());
     let judged: Vec<Result<Judged, TrainingError>> = splits
@@ -238,7 +266,7 @@ pub(crate) fn evaluate(
         .collect();
     let mut held_out = judged.into_iter().collect::<Result<Vec<_>, _>>()?;
     let chained = held_out.split_off(plan.held_out.len());
-    Ok(report(samples, &held_out, &chained, options))
+    Ok((held_out, chained))
 }
 
 /// Fits every model to the training rows of a split and forecasts its season.

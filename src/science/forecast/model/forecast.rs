@@ -277,7 +277,7 @@ impl TrainedModel {
     }
 
     /// The features as they are computed today, which must be those of the training.
-    fn feature_set(&self) -> Result<FeatureSet, ForecastError> {
+    pub(crate) fn feature_set(&self) -> Result<FeatureSet, ForecastError> {
         let all = FeatureSet::new(self.feature_set, &self.reported);
         if all.version != self.feature_set_version {
             return Err(ForecastError::FeatureSetChanged { stored: self.feature_set_version, current: all.version });

@@ -4,7 +4,9 @@ use rayon::join;
 use serde::Serialize;
 
 use super::day::DayRecord;
-use super::evaluation::{Evaluation, Part, Plan, Samples, Shares, by_day, evaluate, first_of};
+use super::evaluation::{
+    Comparison, Evaluation, Part, Plan, Samples, Shares, by_day, evaluate, evaluate_against, first_of, work_of_both,
+};
 use crate::progress::Progress;
 
 mod explanation;
@@ -61,6 +63,32 @@ pub fn train_pooled(
         || evaluate(&prepared.samples, &plan, options, &shares),
     );
     Ok(Trained { model: model?, evaluation: evaluation? })
+}
+
+/// Trains as [`train_pooled`], and compares the recipe on all seasons with the same recipe on `active_seasons` alone, which an
+/// earlier model was trained on: both forecast each season from the others of theirs.
+///
+/// # Errors
+/// As [`train`].
+pub fn retrain(
+    stations: &[&[DayRecord]],
+    options: &TrainingOptions,
+    active_seasons: &[i16],
+    progress: &dyn Progress,
+) -> Result<(Trained, Option<Comparison>), TrainingError> {
+    let prepared = prepare(stations, options)?;
+    let samples = &prepared.samples;
+    let plan = Plan::new(samples);
+    let mut work = work_of_both(samples, &plan, active_seasons);
+    let last = work.len();
+    work.push((samples.len() as f64).powi(2));
+    let shares = Shares::new(progress, work);
+    let (model, judged) = join(
+        || fit(&prepared, options, &shares.part(last, "final model".to_owned())),
+        || evaluate_against(samples, &plan, active_seasons, options, &shares),
+    );
+    let (evaluation, comparison) = judged?;
+    Ok((Trained { model: model?, evaluation }, comparison))
 }
 
 /// The recipe of a split, on all seasons.
