@@ -33,6 +33,7 @@ use crate::domain::problem::FieldError;
         (name = "stations", description = "Places where somebody observes weather and snow every day."),
         (name = "observations", description = "Days of weather and snowpack, and their avalanches."),
         (name = "forecasts", description = "What the active model says of a day."),
+        (name = "regions", description = "Several stations that feed one model, and what it says of them."),
         (name = "models", description = "Trained models, their evaluation and features."),
         (name = "datasets", description = "Catalogues of acoustic emission."),
         (name = "processes", description = "What can be executed as a job (OGC API - Processes Part 1)."),

@@ -42,7 +42,7 @@ async fn a_client_of_the_standard_finds_its_way() {
         classes["conformsTo"].as_array().unwrap().iter().any(|class| class.as_str().unwrap().ends_with("conf/core"))
     );
     let list = app.read("/v1/processes").await;
-    assert_eq!(list["processes"].as_array().unwrap().len(), 7);
+    assert_eq!(list["processes"].as_array().unwrap().len(), 8);
     assert_json_snapshot!(list["processes"][1], {".version" => "[version]"}, @r#"
     {
       "id": "train-model",
@@ -83,7 +83,7 @@ async fn the_published_schema_is_the_one_that_checks() {
     let example = process["example"]["inputs"].as_object().unwrap();
     assert!(example.keys().all(|name| inputs.contains_key(name)), "{example:?}");
     for (name, input) in inputs {
-        assert_eq!(input["minOccurs"], u8::from(["station", "label", "lead"].contains(&name.as_str())), "{name}");
+        assert_eq!(input["minOccurs"], u8::from(["label", "lead"].contains(&name.as_str())), "{name}");
         let validator = jsonschema::validator_for(&input["schema"]).expect("a schema that compiles");
         if let Some(value) = example.get(name) {
             assert!(validator.is_valid(value), "{name}: the example is not what the schema accepts");

@@ -124,7 +124,7 @@ pub fn description() -> Description {
 
 /// Checks the inputs against their schema, the station and the window.
 pub(super) async fn accept(store: &Store, inputs: &Value) -> Result<Accepted, Problem> {
-    let read: Inputs = schema::read(inputs, "/inputs").map_err(invalid_inputs)?;
+    let read: Inputs = train_model::read_of_place(inputs)?;
     let mut faults = Vec::new();
     if read.lead > model::LONGEST_LEAD {
         faults.push(FieldError::new("/inputs/lead", "out_of_range", "must be 0 (nowcast) or 1 (tomorrow)"));

@@ -181,7 +181,7 @@ pub(super) async fn accept(store: &Store, inputs: &Value) -> Result<Accepted, Pr
 }
 
 fn read(inputs: &Value) -> Result<Inputs, Problem> {
-    let read: Inputs = schema::read(inputs, "/inputs").map_err(invalid_inputs)?;
+    let read: Inputs = read_of_place(inputs)?;
     let mut faults = Vec::new();
     if read.lead > 1 {
         faults.push(FieldError::new("/inputs/lead", "out_of_range", "must be 0 (nowcast) or 1 (tomorrow)"));
@@ -209,6 +209,16 @@ fn read(inputs: &Value) -> Result<Inputs, Problem> {
     }
     faults.extend(place_fault(read.station.as_ref(), read.region.as_ref()));
     if faults.is_empty() { Ok(read) } else { Err(invalid_inputs(faults)) }
+}
+
+/// Reads inputs that name a station or a region: where they cannot be read, that they name neither is said with the rest.
+pub(super) fn read_of_place<T: serde::de::DeserializeOwned + ToSchema + 'static>(inputs: &Value) -> Result<T, Problem> {
+    schema::read(inputs, "/inputs").map_err(|mut faults| {
+        if inputs.is_object() && inputs.get("station").is_none() && inputs.get("region").is_none() {
+            faults.extend(place_fault(None, None));
+        }
+        invalid_inputs(faults)
+    })
 }
 
 /// What is wrong where not exactly one place is named.
