@@ -12,7 +12,11 @@ use std::{
 
 use firn::{
     config::{Config, Settings},
-    domain::{avalanche::AvalancheRecord, ids::{Place, StationId}, observation::Observation},
+    domain::{
+        avalanche::AvalancheRecord,
+        ids::{Place, StationId},
+        observation::Observation,
+    },
     formats::observations_csv,
     science::forecast::{
         day::{DayRecord, season_of},

@@ -91,7 +91,7 @@ fn tag(activation: &Activation) -> String {
     format!("\"{}\"", activation.sequence)
 }
 
-fn check_reason(reason: Option<&str>) -> Result<(), Problem> {
+pub(super) fn check_reason(reason: Option<&str>) -> Result<(), Problem> {
     if reason.is_some_and(|reason| reason.chars().count() > LONGEST_REASON) {
         let detail = format!("must be at most {LONGEST_REASON} characters");
         return Err(Problem::field(Code::InvalidBody, "/reason", "out_of_range", detail));
@@ -150,8 +150,7 @@ async fn put(
     }
     let permits = |before: Option<&Activation>| conditions.permit_write(before.map(tag).as_deref());
     let reason = body.reason.as_deref();
-    let activation =
-        state.store.activate_model(place, lead, body.model_id, reason, &caller.actor(), permits).await?;
+    let activation = state.store.activate_model(place, lead, body.model_id, reason, &caller.actor(), permits).await?;
     answer(state, &Conditions::default(), place, lead, activation).await
 }
 

@@ -48,7 +48,7 @@ pub struct AuditResource {
     /// The name of the key; null where no key was needed, and for the service itself.
     who: Option<String>,
     /// What was done: `station_created`, `station_changed`, `region_created`, `region_changed`, `model_activated`,
-    /// `model_rolled_back`, `key_created`, `key_revoked`.
+    /// `model_rolled_back`, `proposal_made`, `proposal_accepted`, `proposal_declined`, `key_created`, `key_revoked`.
     action: String,
     /// To what: its address, or `key:` and the id of a key.
     target: String,
@@ -87,7 +87,7 @@ impl From<AuditEntry> for AuditResource {
     }
 }
 
-/// Who changed what, when and why: settings of stations and regions, active models, keys. It grows only; each entry is
+/// Who changed what, when and why: settings of stations and regions, active models, proposals, keys. It grows only; each entry is
 /// written together with its change. For the role operator.
 #[utoipa::path(get, path = "/v1/audit", operation_id = "list_audit", tag = "service", params(AuditQuery),
     responses((status = 200, description = "A page of the audit.", body = AuditList)))]

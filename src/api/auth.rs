@@ -89,6 +89,7 @@ fn role_for(method: &Method, path: &str) -> Role {
     } else if path.ends_with("/active-model")
         || path.ends_with("/active-model/rollback")
         || path.starts_with("/v1/regions/")
+        || (path.starts_with("/v1/stations/") && path.contains("/proposals/"))
     {
         Role::Operator
     } else {

@@ -24,6 +24,7 @@ mod observations;
 pub mod openapi;
 pub mod problem;
 mod processes;
+mod proposals;
 mod region_forecasts;
 mod regions;
 mod respond;

@@ -23,6 +23,7 @@ use crate::{
         ids::{RegionId, StationId},
         problem::{Code, FieldError, Problem},
         region::{AvalancheDay, Region, RegionBody},
+        retrain::Retrain,
         station::StationName,
     },
     store::stations::Written,
@@ -49,6 +50,8 @@ pub struct RegionResource {
     stations: Vec<StationId>,
     /// What an avalanche day of the region is.
     avalanche_day: AvalancheDay,
+    /// When its models are retrained by themselves, as a proposal; null: on request only.
+    retrain: Option<Retrain>,
     /// Counts the changes, from 1.
     revision: u32,
     /// When it was made.
@@ -76,11 +79,13 @@ impl From<Region> for RegionResource {
                 Link::json(at.clone(), "self", "this document"),
                 Link::json(format!("{at}/active-model"), "active-model", "the model that forecasts for it"),
                 Link::json(format!("/v1/models?region={}", region.id), "models", "its models"),
+                Link::json(format!("{at}/proposals"), "proposals", "what retrainings propose"),
             ],
             id: region.id,
             name: region.body.name,
             stations: region.body.stations,
             avalanche_day: region.body.avalanche_day,
+            retrain: region.body.retrain,
             revision: region.revision,
             created: region.created,
             updated: region.updated,

@@ -28,7 +28,7 @@ use super::{
     job_results::{self, REPR_DIGEST},
     jobs, landing, metrics, models, observations, openapi,
     problem::{ApiError, REQUEST_ID, from_panic},
-    processes, region_forecasts, regions, scenarios, selections, stations, transfers, verification, what_if,
+    processes, proposals, region_forecasts, regions, scenarios, selections, stations, transfers, verification, what_if,
 };
 use crate::domain::{
     ids::new_id,
@@ -96,10 +96,16 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(transfers::list_transfers))
         .routes(routes!(active_models::get_active_model, active_models::put_active_model))
         .routes(routes!(active_models::roll_back_model))
+        .routes(routes!(proposals::list_proposals))
+        .routes(routes!(proposals::accept_proposal))
+        .routes(routes!(proposals::decline_proposal))
         .routes(routes!(regions::list_regions))
         .routes(routes!(regions::get_region, regions::put_region))
         .routes(routes!(active_models::get_region_model, active_models::put_region_model))
         .routes(routes!(active_models::roll_back_region_model))
+        .routes(routes!(proposals::list_region_proposals))
+        .routes(routes!(proposals::accept_region_proposal))
+        .routes(routes!(proposals::decline_region_proposal))
         .routes(routes!(region_forecasts::get_region_forecast))
         .routes(routes!(forecasts::list_forecasts))
         .routes(routes!(forecasts::get_latest_forecast))

@@ -77,6 +77,7 @@ pub async fn get_selection(
     let SelectionRecord { place, synthetic, selection, provenance } = found;
     let (station, region) = (place.station().cloned(), place.region().cloned());
     let used = trained.features.clone();
-    let resource = SelectionResource { model_id: model.id, used, job, station, region, synthetic, selection, provenance };
+    let resource =
+        SelectionResource { model_id: model.id, used, job, station, region, synthetic, selection, provenance };
     respond::resource(&conditions, &resource)
 }

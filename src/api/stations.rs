@@ -19,6 +19,7 @@ use super::{
 use crate::{
     domain::{
         ids::StationId,
+        retrain::Retrain,
         station::{Station, StationBody, StationName, ZoneName},
         units::{Altitude, Latitude, Longitude},
     },
@@ -94,6 +95,8 @@ pub struct StationResource {
     /// The variables that the station reports; null: whatever its observations contain.
     #[schema(value_type = Option<Vec<String>>)]
     variables: Option<Vec<&'static str>>,
+    /// When its models are retrained by themselves, as a proposal; null: on request only.
+    retrain: Option<Retrain>,
     /// True for a station whose data were made by a generator: nothing of it was ever observed.
     synthetic: bool,
     /// Counts the changes, from 1.
@@ -124,6 +127,7 @@ impl From<Station> for StationResource {
             altitude_m: body.altitude_m,
             timezone: body.timezone,
             variables: body.variables.map(|list| list.into_iter().map(|variable| variable.name()).collect()),
+            retrain: body.retrain,
             synthetic: station.synthetic,
             revision: station.revision,
             created: station.created,

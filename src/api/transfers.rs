@@ -89,8 +89,7 @@ pub async fn list_transfers(
     let more = transfers.len() > limit as usize;
     transfers.truncate(limit as usize);
     let next = transfers.last().filter(|_| more).map(|last| last.job);
-    let list =
-        TransferList { model_id: model.id, transfers: transfers.into_iter().map(Into::into).collect(), next };
+    let list = TransferList { model_id: model.id, transfers: transfers.into_iter().map(Into::into).collect(), next };
     let mut response = respond::resource(&conditions, &list)?;
     if let Some(cursor) = next {
         respond::link_next(&mut response, &format!("/v1/models/{}/transfers?limit={limit}&cursor={cursor}", model.id));

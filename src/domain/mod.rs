@@ -8,6 +8,7 @@ pub mod job;
 pub mod observation;
 pub mod problem;
 pub mod region;
+pub mod retrain;
 pub mod schema;
 pub mod station;
 pub mod units;

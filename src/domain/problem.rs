@@ -61,6 +61,9 @@ codes! {
     UnknownStation "unknown-station" 404 "No such station" "Create the station first with `PUT /v1/stations/{station}`.";
     UnknownRegion "unknown-region" 404 "No such region" "Create the region first with `PUT /v1/regions/{region}`.";
     NoEarlierModel "no-earlier-model" 409 "There is no earlier model to go back to" "Nothing was active before the active model, or before the one that the last roll-back restored.";
+    UnknownProposal "unknown-proposal" 404 "No such proposal" "The station or region has no proposal of that id. `GET .../proposals` lists them.";
+    ProposalClosed "proposal-closed" 409 "The proposal is decided" "It was accepted or declined before, or a newer proposal took its place.";
+    ProposalOutdated "proposal-outdated" 409 "The active model has changed since" "The proposal was compared with a model that is no longer the active one. Retrain again with `POST /v1/processes/retrain-model/execution`, or activate the model with `PUT .../active-model`.";
     NoObservation "no-observation" 404 "There is no observation of that day" "Nothing was recorded for the day that was asked for.";
     NoAvalancheRecord "no-avalanche-record" 404 "There is no avalanche record of that day" "Nobody recorded the avalanche activity of that day. That is not the same as none.";
     NoActiveModel "no-active-model" 404 "There is no active model" "Train one with `POST /v1/processes/train-model/execution`; the first model of a station or region becomes active by itself.";

@@ -10,6 +10,7 @@ use utoipa::{
 
 use super::{
     ids::{RegionId, StationId},
+    retrain::Retrain,
     station::StationName,
 };
 
@@ -29,6 +30,10 @@ pub struct RegionBody {
     /// What an avalanche day of the region is.
     #[serde(default)]
     pub avalanche_day: AvalancheDay,
+    /// When its models are retrained by themselves, as a proposal; null: on request only. The day is that of the zone of its
+    /// first station.
+    #[serde(default)]
+    pub retrain: Option<Retrain>,
 }
 
 /// What an avalanche day of a region is, and what a quiet one.

@@ -40,6 +40,12 @@ pub enum Action {
     ModelActivated,
     /// The model that was active before was made the active one again.
     ModelRolledBack,
+    /// A retraining proposed a model.
+    ProposalMade,
+    /// A proposed model was made the active one.
+    ProposalAccepted,
+    /// A proposed model was turned down.
+    ProposalDeclined,
     /// A key was made.
     KeyCreated,
     /// A key was withdrawn.
@@ -57,6 +63,9 @@ impl Action {
             Self::RegionChanged => "region_changed",
             Self::ModelActivated => "model_activated",
             Self::ModelRolledBack => "model_rolled_back",
+            Self::ProposalMade => "proposal_made",
+            Self::ProposalAccepted => "proposal_accepted",
+            Self::ProposalDeclined => "proposal_declined",
             Self::KeyCreated => "key_created",
             Self::KeyRevoked => "key_revoked",
         }

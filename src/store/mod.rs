@@ -9,6 +9,7 @@ pub mod jobs;
 pub mod keys;
 pub mod models;
 pub mod observations;
+pub mod proposals;
 pub mod regions;
 pub mod selections;
 pub mod stations;

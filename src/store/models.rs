@@ -10,7 +10,9 @@ use uuid::Uuid;
 use super::{
     Result, Store, StoreError,
     audit::{self, Action, Actor, NewEntry},
-    from_json, parse_timestamp, to_json,
+    from_json, parse_timestamp,
+    proposals::Proposal,
+    to_json,
 };
 use crate::domain::ids::{Place, StationId};
 
@@ -45,7 +47,9 @@ impl ModelRecord {
     pub fn stations(&self) -> Vec<StationId> {
         match &self.place {
             Place::Station(id) => vec![id.clone()],
-            Place::Region(_) => serde_json::from_value(self.summary["training"]["stations"].clone()).unwrap_or_default(),
+            Place::Region(_) => {
+                serde_json::from_value(self.summary["training"]["stations"].clone()).unwrap_or_default()
+            }
         }
     }
 
@@ -184,8 +188,8 @@ async fn active(connection: &mut SqliteConnection, place: &Place, lead: u8) -> R
     Ok(row.map(|row| row.0))
 }
 
-/// Keeps a trained model; makes it active where its place has none of that lead, and says whether it did.
-pub(super) async fn insert(tx: &mut Transaction<'_, Sqlite>, model: &NewModel, now: Timestamp) -> Result<bool> {
+/// Keeps a trained model.
+pub(super) async fn keep(tx: &mut Transaction<'_, Sqlite>, model: &NewModel) -> Result<()> {
     let record = &model.record;
     sqlx::query(
         "INSERT INTO model (id, station, region, job, lead, selection, summary, machine, evaluation, created)
@@ -203,6 +207,35 @@ pub(super) async fn insert(tx: &mut Transaction<'_, Sqlite>, model: &NewModel, n
     .bind(record.created.to_string())
     .execute(&mut **tx)
     .await?;
+    Ok(())
+}
+
+/// Makes the model of a proposal the active one, if that is still the one that it was compared with; says whether it is.
+pub(super) async fn replace(
+    tx: &mut Transaction<'_, Sqlite>,
+    proposal: &Proposal,
+    target: &str,
+    actor: &Actor,
+) -> Result<bool> {
+    let before = active(tx, &proposal.place, proposal.lead).await?;
+    let Some(before) = before.filter(|before| before.model == proposal.active) else { return Ok(false) };
+    let change = Change {
+        place: &proposal.place,
+        lead: proposal.lead,
+        model: proposal.model,
+        reason: Some(&format!("accepted: {target}")),
+        action: Action::ModelActivated,
+        before: Some(&before),
+        back_to: Some(before.sequence),
+    };
+    insert_activation(tx, change, actor).await?;
+    Ok(true)
+}
+
+/// Keeps a trained model; makes it active where its place has none of that lead, and says whether it did.
+pub(super) async fn insert(tx: &mut Transaction<'_, Sqlite>, model: &NewModel, now: Timestamp) -> Result<bool> {
+    let record = &model.record;
+    keep(tx, model).await?;
     if active(tx, &record.place, record.lead).await?.is_some() {
         return Ok(false);
     }
@@ -238,12 +271,7 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
-    pub async fn models(
-        &self,
-        place: Option<&Place>,
-        before: Option<Uuid>,
-        limit: u32,
-    ) -> Result<Vec<ModelRecord>> {
+    pub async fn models(&self, place: Option<&Place>, before: Option<Uuid>, limit: u32) -> Result<Vec<ModelRecord>> {
         let rows = sqlx::query_as::<_, ModelRow>(
             "SELECT id, station, region, job, lead, selection, summary, created FROM model
              WHERE (?1 IS NULL OR station = ?1) AND (?4 IS NULL OR region = ?4) AND (?2 IS NULL OR id < ?2)
@@ -345,10 +373,8 @@ impl Store {
             return Err(StoreError::Precondition);
         }
         let Some(earlier) = before.as_ref().and_then(|before| before.back_to) else { return Ok(None) };
-        let earlier: ActivationRow = sqlx::query_as("SELECT * FROM activation WHERE sequence = ?")
-            .bind(earlier)
-            .fetch_one(&mut *tx)
-            .await?;
+        let earlier: ActivationRow =
+            sqlx::query_as("SELECT * FROM activation WHERE sequence = ?").bind(earlier).fetch_one(&mut *tx).await?;
         let Activation { model, back_to, .. } = earlier.0;
         let (action, before) = (Action::ModelRolledBack, before.as_ref());
         let change = Change { place, lead, model, reason, action, before, back_to };

@@ -34,6 +34,7 @@ fn read(row: &SqliteRow) -> Result<Region> {
     let body = serde_json::json!({
         "name": row.try_get::<String, _>("name")?,
         "stations": from_json::<Vec<String>>(row.try_get("stations")?)?,
+        "retrain": row.try_get::<Option<String>, _>("retrain")?.map(|day| serde_json::json!({"yearly": day})),
         "avalanche_day": {
             "stations": row.try_get::<u32, _>("stations_needed")?, "quiet": row.try_get::<String, _>("quiet")?,
         },
@@ -127,15 +128,17 @@ impl Store {
             None => (Written::Created, Action::RegionCreated),
         };
         sqlx::query(
-            "INSERT INTO region (id, name, stations_needed, quiet, revision, created, updated)
-             VALUES (?1, ?2, ?3, ?4, 1, ?5, ?5)
-             ON CONFLICT (id) DO UPDATE SET name = ?2, stations_needed = ?3, quiet = ?4, revision = revision + 1, updated = ?5",
+            "INSERT INTO region (id, name, stations_needed, quiet, retrain, revision, created, updated)
+             VALUES (?1, ?2, ?3, ?4, ?6, 1, ?5, ?5)
+             ON CONFLICT (id) DO UPDATE SET name = ?2, stations_needed = ?3, quiet = ?4, retrain = ?6, revision = revision + 1,
+                 updated = ?5",
         )
         .bind(id.as_str())
         .bind(body.name.as_str())
         .bind(body.avalanche_day.stations)
         .bind(quiet(body.avalanche_day.quiet))
         .bind(actor.at.to_string())
+        .bind(body.retrain.map(|retrain| retrain.yearly.to_string()))
         .execute(&mut *tx)
         .await?;
         write_stations(&mut tx, id, &body.stations).await?;

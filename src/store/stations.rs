@@ -39,6 +39,7 @@ fn read(row: &SqliteRow) -> Result<Station> {
         "longitude": row.try_get::<Option<f64>, _>("longitude")?,
         "altitude_m": row.try_get::<Option<f64>, _>("altitude_m")?,
         "timezone": row.try_get::<Option<String>, _>("timezone")?,
+        "retrain": row.try_get::<Option<String>, _>("retrain")?.map(|day| serde_json::json!({"yearly": day})),
         "variables": variables.map(|text| from_json::<serde_json::Value>(&text)).transpose()?,
     });
     Ok(Station {
@@ -105,10 +106,11 @@ impl Store {
         };
         let variables = body.variables.as_ref().map(to_json).transpose()?;
         let row = sqlx::query_as::<_, StationRow>(
-            "INSERT INTO station (id, name, latitude, longitude, altitude_m, timezone, variables, synthetic, revision, created, updated)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 1, ?9, ?9)
+            "INSERT INTO station (id, name, latitude, longitude, altitude_m, timezone, variables, synthetic, retrain, revision,
+                 created, updated)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?10, 1, ?9, ?9)
              ON CONFLICT (id) DO UPDATE SET name = ?2, latitude = ?3, longitude = ?4, altitude_m = ?5, timezone = ?6,
-                 variables = ?7, revision = revision + 1, updated = ?9
+                 variables = ?7, retrain = ?10, revision = revision + 1, updated = ?9
              RETURNING *",
         )
         .bind(id.as_str())
@@ -120,13 +122,17 @@ impl Store {
         .bind(variables)
         .bind(synthetic)
         .bind(actor.at.to_string())
+        .bind(body.retrain.map(|retrain| retrain.yearly.to_string()))
         .fetch_one(&mut *tx)
         .await?;
         let entry = NewEntry {
             action,
             target: &format!("/v1/stations/{id}"),
             reason: None,
-            before: before.map(|station| serde_json::to_value(station.body)).transpose().map_err(StoreError::corrupt)?,
+            before: before
+                .map(|station| serde_json::to_value(station.body))
+                .transpose()
+                .map_err(StoreError::corrupt)?,
             after: Some(serde_json::to_value(body).map_err(StoreError::corrupt)?),
         };
         audit::write(&mut tx, actor, entry).await?;

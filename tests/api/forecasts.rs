@@ -19,6 +19,7 @@ async fn a_forecast_says_what_and_on_what_grounds() {
     }, @r#"
     {
       "station": "synthetic",
+      "region": null,
       "synthetic": true,
       "date": "2014-01-15",
       "lead": 0,
@@ -146,6 +147,7 @@ async fn similar_days_carry_the_decision() {
       "model_id": "[id]",
       "similar_days": [
         {
+          "station": "synthetic",
           "date": "[date]",
           "label": "[label]",
           "kernel": "[kernel]",
@@ -153,6 +155,7 @@ async fn similar_days_carry_the_decision() {
           "avalanches": "[avalanches]"
         },
         {
+          "station": "synthetic",
           "date": "[date]",
           "label": "[label]",
           "kernel": "[kernel]",
@@ -160,6 +163,7 @@ async fn similar_days_carry_the_decision() {
           "avalanches": "[avalanches]"
         },
         {
+          "station": "synthetic",
           "date": "[date]",
           "label": "[label]",
           "kernel": "[kernel]",

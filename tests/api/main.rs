@@ -17,6 +17,7 @@ mod jobs;
 mod observations;
 mod problems;
 mod processes;
+mod proposals;
 mod regions;
 mod registry;
 mod runout;

@@ -129,7 +129,8 @@ async fn the_audit_says_who_did_what_and_why() {
         "longitude": null,
         "altitude_m": null,
         "timezone": null,
-        "variables": null
+        "variables": null,
+        "retrain": null
       },
       "after": {
         "name": "B",
@@ -137,7 +138,8 @@ async fn the_audit_says_who_did_what_and_why() {
         "longitude": null,
         "altitude_m": null,
         "timezone": null,
-        "variables": null
+        "variables": null,
+        "retrain": null
       },
       "trace_id": "trace-7"
     }

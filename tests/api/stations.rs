@@ -29,6 +29,7 @@ async fn a_station_is_made_and_read() {
         "air_temperature",
         "wind_speed"
       ],
+      "retrain": null,
       "synthetic": false,
       "revision": 1,
       "created": "[instant]",
@@ -51,6 +52,7 @@ async fn all_but_the_name_may_be_left_out() {
       "altitude_m": null,
       "timezone": null,
       "variables": null,
+      "retrain": null,
       "synthetic": false,
       "revision": 1,
       "created": "[instant]",

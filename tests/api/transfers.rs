@@ -38,7 +38,8 @@ async fn a_model_is_scored_at_another_station() {
     };
     let poorer: Vec<String> = away.lines().map(narrow).collect();
     app.import_csv("poorer", &(poorer.join("\n") + "\n")).await.json(200);
-    let inputs = json!({"station": "home", "label": "observed", "lead": 0, "kernel": "linear", "feature_set": "raw-30"});
+    let inputs =
+        json!({"station": "home", "label": "observed", "lead": 0, "kernel": "linear", "feature_set": "raw-30"});
     let job = train(&app, &inputs).await;
     let results = app.read(&format!("/v1/jobs/{}/results", id(&job))).await;
     let model = results["model_id"].as_str().unwrap();

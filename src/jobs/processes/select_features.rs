@@ -140,8 +140,7 @@ pub(super) async fn accept(store: &Store, inputs: &Value) -> Result<Accepted, Pr
     }
     let training = read.training();
     let prepared = train_model::prepare(store, &training).await?;
-    model::check_pooled(&prepared.parts(), &prepared.options)
-        .map_err(|error| train_model::refused_window(&error))?;
+    model::check_pooled(&prepared.parts(), &prepared.options).map_err(|error| train_model::refused_window(&error))?;
     let hash = train_model::hash(&training, &prepared);
     Ok(Accepted { inputs: serde_json::to_value(&read).map_err(Problem::internal)?, hash })
 }

@@ -224,9 +224,7 @@ pub(super) fn read_of_place<T: serde::de::DeserializeOwned + ToSchema + 'static>
 /// What is wrong where not exactly one place is named.
 pub(super) fn place_fault(station: Option<&StationId>, region: Option<&RegionId>) -> Option<FieldError> {
     match (station, region) {
-        (None, None) => {
-            Some(FieldError::new("/inputs/station", "missing", "is missing: name a station or a region"))
-        }
+        (None, None) => Some(FieldError::new("/inputs/station", "missing", "is missing: name a station or a region")),
         (Some(_), Some(_)) => {
             let detail = "must be left out where a station is named: name a station or a region";
             Some(FieldError::new("/inputs/region", "contradiction", detail))
@@ -275,13 +273,7 @@ pub(super) async fn prepare(store: &Store, inputs: &Inputs) -> Result<Prepared, 
     let station = station(store, id).await?;
     let days = store.day_records(&station.id, from, to).await.map_err(Problem::internal)?;
     let options = options(inputs, reported(&station, &days));
-    Ok(Prepared {
-        place: Place::Station(id.clone()),
-        region: None,
-        stations: vec![station],
-        days: vec![days],
-        options,
-    })
+    Ok(Prepared { place: Place::Station(id.clone()), region: None, stations: vec![station], days: vec![days], options })
 }
 
 pub(super) async fn station(store: &Store, id: &StationId) -> Result<Station, Problem> {

@@ -281,8 +281,7 @@ fn report(
         brier_decomposition: decomposition(&probability, &samples.event, &reliability),
         reliability,
         roc: curve(&probability, &samples.event),
-        bootstrap: (judged.len() > 1)
-            .then(|| bootstrap(samples.seasons.len(), &samples.season, &pooled, seed)),
+        bootstrap: (judged.len() > 1).then(|| bootstrap(samples.seasons.len(), &samples.season, &pooled, seed)),
         not_reported: not_reported.into_iter().map(|variable| variable.name().to_owned()).collect(),
         drift,
         seasons: samples.seasons.clone(),

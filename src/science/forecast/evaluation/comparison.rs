@@ -8,7 +8,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Difference, Judged, LEVEL, Part, Plan, REPLICATES, Samples, Shares, by_day, first_of, outcomes, seasons_of_each_class,
+    Difference, Judged, LEVEL, Part, Plan, REPLICATES, Samples, Shares, by_day, first_of, outcomes,
+    seasons_of_each_class,
 };
 use crate::forecast::model::{TrainingError, TrainingOptions};
 use crate::forecast::verification::bootstrap::{Interval, SeasonDraws, interval, replicate};
@@ -125,7 +126,8 @@ pub(super) fn compare(
             Ok(Some((season, active)))
         })
         .collect();
-    let judged: Vec<(usize, Vec<Outcome>)> = judged.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
+    let judged: Vec<(usize, Vec<Outcome>)> =
+        judged.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
     let pairs: Vec<(usize, &[Outcome], &[Outcome])> = judged
         .iter()
         .filter_map(|(season, active)| Some((*season, &of(*season)?.outcomes.svm[..], &active[..])))

@@ -241,9 +241,7 @@ impl TrainedModel {
                 station: day.station,
             })
             .collect();
-        similar.sort_by(|a, b| {
-            b.kernel.total_cmp(&a.kernel).then(a.date.cmp(&b.date)).then(a.station.cmp(&b.station))
-        });
+        similar.sort_by(|a, b| b.kernel.total_cmp(&a.kernel).then(a.date.cmp(&b.date)).then(a.station.cmp(&b.station)));
         similar.truncate(count);
         Ok(similar)
     }

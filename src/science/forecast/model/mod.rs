@@ -130,8 +130,7 @@ fn fit(prepared: &Prepared, options: &TrainingOptions, progress: &dyn Progress) 
 }
 
 fn support_days(samples: &Samples, rows: &[usize]) -> Vec<SupportDay> {
-    let day =
-        |&i: &usize| SupportDay { date: samples.date[i], label: samples.event[i], station: samples.station[i] };
+    let day = |&i: &usize| SupportDay { date: samples.date[i], label: samples.event[i], station: samples.station[i] };
     rows.iter().map(day).collect()
 }
 

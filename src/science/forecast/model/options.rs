@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::forecast::day::{DayRecord, Label, Variable};
-use crate::forecast::evaluation::{Samples, first_of};
 use crate::forecast::evaluation::folds::{SEASONS_NEEDED, seasons_of_each_class};
+use crate::forecast::evaluation::{Samples, first_of};
 use crate::forecast::features::{FeatureSet, FeatureSetId, History, HistoryError, UnknownFeature};
 use crate::forecast::logistic::LogisticError;
 use crate::forecast::svm::{CalibrationError, EliminationError, Grid, GridError, KernelFamily, SolverError};

@@ -6,11 +6,11 @@ use jiff::civil::{Date, date};
 
 use super::*;
 use crate::forecast::day::{Activity, Label, Variable, season_of};
+use crate::forecast::evaluation::Verdict;
 use crate::forecast::features::FeatureSetId;
 use crate::forecast::selection::select;
 use crate::forecast::svm::{Grid, GridError, KernelFamily};
 use crate::forecast::synthetic::{REPORTED, synthetic_station};
-use crate::forecast::evaluation::Verdict;
 use crate::forecast::transfer;
 use crate::forecast::verification::{Scores, ThresholdRule};
 use crate::progress::{Progress, Unobserved};
@@ -465,13 +465,13 @@ fn a_retraining_compares_what_was_held_out_from_both() {
     let early: Vec<DayRecord> = days.iter().filter(|day| season_of(day.date) < 2004).copied().collect();
     let options = options();
     let active = train(&early, &options, &Unobserved).unwrap();
-    let (candidate, comparison) =
-        retrain(&[&days], &options, &active.model.training.seasons, &Unobserved).unwrap();
+    let (candidate, comparison) = retrain(&[&days], &options, &active.model.training.seasons, &Unobserved).unwrap();
     let comparison = comparison.unwrap();
     assert_eq!(candidate, train(&days, &options, &Unobserved).unwrap());
     assert_eq!((comparison.seasons.len(), comparison.new_seasons.as_slice()), (6, &[2004, 2005][..]));
     assert_eq!(comparison.candidate, candidate.evaluation.scores.svm);
-    let target = transfer::Target { days: &days, reported: &options.reported, trained_on: &active.model.training.seasons };
+    let target =
+        transfer::Target { days: &days, reported: &options.reported, trained_on: &active.model.training.seasons };
     let elsewhere = transfer::evaluate(&active.model, target, 1, &Unobserved).unwrap();
     let own = active.evaluation.per_season.iter().map(|season| (season.season, season.scores.svm));
     let new = elsewhere.per_season.iter().map(|season| (season.season, season.scores.svm.unwrap()));

@@ -56,7 +56,8 @@ fn the_early_model_scores_on_the_late_seasons_as_in_scikit_learn() {
     near(scores.hss, 0.358_148_972, 1e-8, "HSS");
     near(transfer.scores.climatology.unwrap().brier, 0.127_987_837, 1e-8, "Brier of climatology");
     near(transfer.scores.climatology.unwrap().auc, 0.373_813_837, 1e-8, "AUC of climatology");
-    let by_season = [0.791_744_841, 0.796_164_384, 0.946_363_636, 0.840_878_530, 0.781_690_141, 0.765_669_516, 0.805_218_447];
+    let by_season =
+        [0.791_744_841, 0.796_164_384, 0.946_363_636, 0.840_878_530, 0.781_690_141, 0.765_669_516, 0.805_218_447];
     for (season, expected) in transfer.per_season.iter().zip(by_season) {
         near(season.scores.svm.unwrap().auc, expected, 1e-3, &format!("AUC of {}", season.season));
     }
@@ -109,7 +110,10 @@ fn seasons_of_the_training_are_no_test() {
     let model = train(&days[..days.len() * 4 / 5], &options(&REPORTED), &Unobserved).unwrap().model;
     let own = Target { trained_on: &model.training.seasons, ..target(&days, &REPORTED) };
     let transfer = evaluate(&model, own, 1, &Unobserved).unwrap();
-    assert_eq!((transfer.seasons.as_slice(), transfer.left_out.as_slice()), (&[2004][..], &[2000, 2001, 2002, 2003][..]));
+    assert_eq!(
+        (transfer.seasons.as_slice(), transfer.left_out.as_slice()),
+        (&[2004][..], &[2000, 2001, 2002, 2003][..])
+    );
     // one season has no climatology of its own, no models and nothing to draw from
     let scores = transfer.scores;
     assert!(scores.svm.is_some_and(|svm| svm.auc.is_some() && svm.brier.is_some() && svm.brier_skill.is_none()));
