@@ -84,7 +84,6 @@ CREATE TABLE issued_forecast_anew (
     date        TEXT NOT NULL,              -- the day that was forecast
     lead        INTEGER NOT NULL CHECK (lead IN (0, 1)),
     model       TEXT NOT NULL REFERENCES model (id),
-    region      TEXT REFERENCES region (id),    -- whose avalanche day was forecast; null: the station's
     probability REAL NOT NULL,
     warned      INTEGER NOT NULL CHECK (warned IN (0, 1)),
     base_rate   REAL NOT NULL,              -- of the training of the model
