@@ -7,6 +7,8 @@ mod day_batch;
 pub mod issued;
 pub mod jobs;
 pub mod keys;
+#[cfg(test)]
+mod migration_tests;
 pub mod models;
 pub mod observations;
 pub mod proposals;

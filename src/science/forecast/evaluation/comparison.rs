@@ -97,6 +97,9 @@ fn splits(samples: &Samples, active_seasons: &[i16]) -> Vec<(usize, Vec<usize>)>
     (0..samples.seasons.len()).filter_map(rows).collect()
 }
 
+/// Position of a season, and what the active model's recipe said of its days.
+type Judgement = (usize, Vec<Outcome>);
+
 /// Compares the judged seasons of a candidate with the same recipe on `active_seasons`; split `i` reports to part `first + i`
 /// of `shares`. `None` where no season can be forecast without it.
 pub(super) fn compare(
@@ -110,7 +113,7 @@ pub(super) fn compare(
     let is_new = |season: &&i16| !active_seasons.contains(season);
     let new_seasons: Vec<i16> = samples.seasons.iter().filter(is_new).copied().collect();
     let of = |season: usize| candidate.iter().find(|judged| judged.season == season);
-    let judged: Vec<Result<Option<(usize, Vec<Outcome>)>, TrainingError>> = splits(samples, active_seasons)
+    let judged: Vec<Result<Option<Judgement>, TrainingError>> = splits(samples, active_seasons)
         .into_par_iter()
         .enumerate()
         .with_max_len(1)
@@ -126,8 +129,7 @@ pub(super) fn compare(
             Ok(Some((season, active)))
         })
         .collect();
-    let judged: Vec<(usize, Vec<Outcome>)> =
-        judged.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
+    let judged: Vec<Judgement> = judged.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
     let pairs: Vec<(usize, &[Outcome], &[Outcome])> = judged
         .iter()
         .filter_map(|(season, active)| Some((*season, &of(*season)?.outcomes.svm[..], &active[..])))
