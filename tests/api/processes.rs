@@ -182,7 +182,7 @@ async fn a_process_that_is_not_there_is_refused_in_the_words_of_the_standard() {
       "type": "http://www.opengis.net/def/exceptions/ogcapi-processes-1/1.0/no-such-process",
       "title": "No such process",
       "status": 404,
-      "detail": "there is no process nothing; there are: echo, train-model, select-features, runout, emission-analysis, emission-comparison, emission-synthetic",
+      "detail": "there is no process nothing; there are: echo, train-model, select-features, runout, emission-analysis, emission-comparison, emission-location, emission-synthetic",
       "code": "no-such-process",
       "traceId": "[id]"
     }

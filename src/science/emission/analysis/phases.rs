@@ -121,7 +121,7 @@ fn summary(
     let result = fit_sample(&sample(catalogue, &options.fit)?, &options.fit, seed, progress)?;
     let dimension = catalogue.positions("phase_comparison").ok().and_then(|(positions, _)| {
         let error = catalogue.metadata.location_error_m;
-        correlation_integral(&positions, error, None, &CorrelationOptions::default(), seed, progress).ok()
+        correlation_integral(&positions, error, None, &CorrelationOptions::default(), progress).ok()
     });
     let waiting = catalogue.column(Column::TimeS).and_then(|times| {
         let amplitudes = catalogue.amplitudes_v("phase_comparison").ok()?;
