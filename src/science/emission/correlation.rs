@@ -283,7 +283,7 @@ fn radii(options: &CorrelationOptions, error: Option<f64>, largest: f64) -> Resu
 }
 
 /// Intervals of the numerical integrals of [`uniform_share`].
-const INTERVALS: usize = 200;
+const INTERVALS: usize = 100;
 
 /// Probability that two points, uniform in a box of the edges `extents` (one to three), are at most `r` apart. The difference of two
 /// coordinates has a triangular density; one integral a further axis, by Simpson's rule in the angle, which takes the root out.
