@@ -44,7 +44,8 @@ pub struct Settings {
     /// Seconds that a request may take [default: 30]
     #[arg(long, env = "FIRN_REQUEST_TIMEOUT_S", value_name = "S")]
     pub request_timeout_s: Option<u64>,
-    /// Requests that are worked on at once; more are refused with 503 [default: 512]
+    /// Requests that are worked on at once, and streams of events that are open at once; more are refused with 503
+    /// [default: 512]
     #[arg(long, env = "FIRN_MAX_REQUESTS", value_name = "N")]
     pub max_requests: Option<NonZeroUsize>,
     /// Threads that each job computes with; jobs that run at once share the cores [default: the number of cores]

@@ -11,7 +11,7 @@ use crate::{
     domain::{
         avalanche::AvalancheRecord,
         ids::StationId,
-        job::{Job, Labels, Priority},
+        job::{Job, Labels, Priority, Wanted},
         station::{Station, StationBody},
     },
     jobs::{Submission, Submitted, processes::Process},
@@ -63,6 +63,7 @@ pub async fn start(state: &AppState, address: SocketAddr) -> Result<(), ServerEr
             process: Process::TrainModel,
             inputs,
             labels: Labels::new(),
+            wanted: Wanted::default(),
             priority: Priority::default(),
             submitted_by: None,
             anew: false,

@@ -52,6 +52,7 @@ impl Server {
             .await
             .map_err(|error| format!("{} cannot be listened on: {error}", config.listen))?;
         let artifacts = Artifacts::open(&config.artifacts).await?;
+        artifacts.claim(store.instance().await?).await?;
         let rules = Rules {
             most_waiting: config.max_queue,
             lease: config.lease,
@@ -84,6 +85,7 @@ impl Server {
             store,
             desk,
             metrics,
+            streams: Arc::new(Semaphore::new(config.max_requests)),
             config: Arc::new(config),
             intake: Arc::new(Semaphore::new(FILES_AT_ONCE)),
             stopping: CancellationToken::new(),
@@ -181,7 +183,7 @@ async fn answer_workers(client: async_nats::Client, desk: Desk, stop: Cancellati
 /// Takes jobs of the desk behind a NATS server until `stop`: what `firn worker` does.
 ///
 /// # Errors
-/// Where the NATS server does not answer, or the system gives no threads.
+/// Where the NATS server does not answer, the system gives no threads, or the desk is of another version.
 pub async fn work(
     address: &str,
     options: WorkerOptions,
@@ -191,12 +193,15 @@ pub async fn work(
     let engine = Arc::new(Nats::connect_to_work(address).await?);
     let link = NatsLink::new(engine.client());
     let worker = Worker::start(Arc::clone(&engine) as Arc<dyn Engine>, Arc::new(link), options)?;
-    stop.cancelled().await;
+    let fit = tokio::select! {
+        () = stop.cancelled() => true,
+        () = worker.unfit() => false,
+    };
     worker.stop(deadline).await;
     // the tickets that it gave back are on their way
     engine.flush().await;
     tracing::info!(fenced = worker.fenced_results(), "stopped");
-    Ok(())
+    if fit { Ok(()) } else { Err("the server is of another version of firn: workers must be of the same".into()) }
 }
 
 /// An address that others can reach needs a key, or the operator's word that it does not.

@@ -10,7 +10,7 @@ use std::{
 
 use firn::{
     config::{Config, Settings},
-    domain::job::{Job, Labels, Priority},
+    domain::job::{Job, Labels, Priority, Wanted},
     jobs::{
         Desk, Rules, Submission, Submitted,
         artifacts::Artifacts,
@@ -65,6 +65,7 @@ fn echo(message: usize) -> Submission {
         process: Process::Echo,
         inputs: json!({"message": message.to_string()}),
         labels: Labels::new(),
+        wanted: Wanted::default(),
         priority: Priority::default(),
         submitted_by: None,
         anew: false,

@@ -1,6 +1,6 @@
 //! What happened to a job and what it was made of: events as a stream, log, inputs, provenance.
 
-use std::{convert::Infallible, time::Duration};
+use std::{convert::Infallible, sync::Arc, time::Duration};
 
 use axum::{
     extract::State,
@@ -24,7 +24,10 @@ use super::{
     problem::ApiResult,
     respond,
 };
-use crate::store::{StoreError, jobs::EventRecord};
+use crate::{
+    domain::problem::{Code, Problem},
+    store::{StoreError, jobs::EventRecord},
+};
 
 /// How often a silent stream says that it lives.
 const HEARTBEAT: Duration = Duration::from_secs(15);
@@ -108,8 +111,13 @@ pub async fn stream_events(
 ) -> ApiResult<Response> {
     let job = find(&state, path.job_id).await?;
     let last = headers.get("last-event-id").and_then(|id| id.to_str().ok()?.parse().ok()).unwrap_or(0);
+    let turn = Arc::clone(&state.streams).try_acquire_owned().map_err(|_| {
+        let detail = format!("{} streams of events are open already; poll the job instead", state.config.max_requests);
+        Problem::new(Code::Overloaded, detail)
+    })?;
     let (send, receive) = tokio::sync::mpsc::channel(16);
     tokio::spawn(async move {
+        let _turn = turn;
         if let Err(error) = follow(&state, job.id, last, &send).await {
             tracing::warn!(job = %job.id, %error, "a stream of events was cut");
         }

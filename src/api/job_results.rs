@@ -23,7 +23,7 @@ use super::{
 };
 use crate::{
     domain::{
-        job::{Exception, Job, Status},
+        job::{Exception, Job, Status, Transmission},
         problem::{Code, Problem},
     },
     store::jobs::OutputRecord,
@@ -67,16 +67,38 @@ pub async fn results(state: &AppState, job: &Job) -> ApiResult<Value> {
     }
 }
 
-/// What a job gave. Before its end that is 404 of the type `result-not-ready`; of a failed job it is why it failed.
+/// What a job gave: the outputs that it was asked for in one document, or the one that was wanted as it is (`response`:
+/// `raw`). Before its end that is 404 of the type `result-not-ready`; of a failed job it is why it failed.
 #[utoipa::path(get, path = "/v1/jobs/{jobID}/results", operation_id = "get_job_results", tag = "jobs", params(JobPath),
-    responses((status = 200, description = "All outputs in one document.", body = Object)))]
+    responses((status = 200, description = "The outputs.", content((Value = "application/json"), (String = "application/octet-stream"),
+        (String = "image/svg+xml"), (String = "image/png")))))]
 pub async fn get_results(
     State(state): State<AppState>,
     Path(path): Path<JobPath>,
     conditions: Conditions,
 ) -> ApiResult<Response> {
     let job = find(&state, path.job_id).await?;
-    respond::resource(&conditions, &results(&state, &job).await?)
+    let results = results(&state, &job).await?;
+    match job.wanted.outputs.keys().next().filter(|_| job.wanted.raw) {
+        Some(output) => one(&state, &conditions, &HeaderMap::new(), &job, output, &results).await,
+        None => respond::resource(&conditions, &document(&job, results)),
+    }
+}
+
+/// The results without what was not asked for, and with the address in place of what was wanted by reference.
+fn document(job: &Job, mut results: Value) -> Value {
+    let wanted = &job.wanted.outputs;
+    if let Some(outputs) = results.as_object_mut().filter(|_| !wanted.is_empty()) {
+        outputs.retain(|name, _| wanted.contains_key(name));
+        for (name, value) in outputs {
+            let stands_elsewhere = value.get("href").is_some();
+            if wanted.get(name) == Some(&Transmission::Reference) && !stands_elsewhere {
+                let href = format!("/v1/jobs/{}/results/{name}", job.id);
+                *value = serde_json::json!({"href": href, "type": "application/json"});
+            }
+        }
+    }
+    results
 }
 
 /// One output of a job: JSON where it stands in the results document, else its bytes, of which `Range` takes a part.
@@ -93,15 +115,26 @@ pub async fn get_output(
 ) -> ApiResult<Response> {
     let job = find(&state, path.job_id).await?;
     let results = results(&state, &job).await?;
-    let stored = state.store.job_outputs(job.id).await?.into_iter().find(|output| output.name == path.output);
+    one(&state, &conditions, &headers, &job, &path.output, &results).await
+}
+
+async fn one(
+    state: &AppState,
+    conditions: &Conditions,
+    headers: &HeaderMap,
+    job: &Job,
+    name: &str,
+    results: &Value,
+) -> ApiResult<Response> {
+    let stored = state.store.job_outputs(job.id).await?.into_iter().find(|output| output.name == name);
     if let Some(output) = stored {
-        return bytes(&state, &conditions, &headers, &output).await;
+        return bytes(state, conditions, headers, &output).await;
     }
-    let value = results.get(&path.output).ok_or_else(|| {
+    let value = results.get(name).ok_or_else(|| {
         let known: Vec<&String> = results.as_object().into_iter().flat_map(|object| object.keys()).collect();
-        Problem::new(Code::UnknownOutput, format!("job {} has no output {:?}; it has {known:?}", job.id, path.output))
+        Problem::new(Code::UnknownOutput, format!("job {} has no output {name:?}; it has {known:?}", job.id))
     })?;
-    respond::resource(&conditions, value)
+    respond::resource(conditions, value)
 }
 
 async fn bytes(

@@ -56,6 +56,8 @@ pub struct AppState {
     pub config: Arc<Config>,
     /// Turns of reading files of acoustic emission.
     pub intake: Arc<tokio::sync::Semaphore>,
+    /// Streams of events that may be opened besides those that are open.
+    pub streams: Arc<tokio::sync::Semaphore>,
     /// Cancelled once the service takes no new work.
     pub stopping: tokio_util::sync::CancellationToken,
 }

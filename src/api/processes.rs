@@ -1,5 +1,7 @@
 //! `/v1/processes`: what can be executed, and executing it (OGC API - Processes Part 1, sections 7.8 to 7.11).
 
+use std::collections::BTreeMap;
+
 use axum::{
     extract::State,
     http::{HeaderMap, HeaderValue, StatusCode, header},
@@ -22,7 +24,7 @@ use super::{
 };
 use crate::{
     domain::{
-        job::{Job, Labels, Priority},
+        job::{Job, Labels, Priority, Transmission, Wanted},
         problem::{Code, Problem},
         schema,
     },
@@ -95,11 +97,9 @@ pub struct Execute {
     #[serde(default)]
     #[schema(value_type = Object, required = false)]
     inputs: Option<serde_json::Map<String, Value>>,
-    /// Wanted outputs; all are served, whatever is named here.
+    /// Wanted outputs by name; left out or empty: all.
     #[serde(default)]
-    #[schema(value_type = Option<Object>)]
-    #[expect(dead_code, reason = "a member that every client of the standard may send")]
-    outputs: Option<serde_json::Map<String, Value>>,
+    outputs: Option<BTreeMap<String, OutputRequest>>,
     /// Names and values to find the job again: at most 20, names of 1 to 64 characters, values of at most 256.
     #[serde(default)]
     #[schema(value_type = Option<std::collections::BTreeMap<String, String>>)]
@@ -108,9 +108,8 @@ pub struct Execute {
     #[serde(default)]
     #[schema(value_type = Option<u8>, minimum = 0, maximum = 9, default = 5)]
     priority: Option<Priority>,
-    /// `document`: the only form of results that is served.
+    /// The form of the results; left out: `document`.
     #[serde(default)]
-    #[expect(dead_code, reason = "a member that every client of the standard may send")]
     response: Option<ResponseForm>,
 }
 
@@ -120,6 +119,58 @@ pub struct Execute {
 pub enum ResponseForm {
     /// One JSON document with all outputs.
     Document,
+    /// One output as it is; where the process has several, `outputs` names it.
+    Raw,
+}
+
+/// How an output is wanted.
+#[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase", deny_unknown_fields)]
+pub struct OutputRequest {
+    /// In the document (large outputs are by reference all the same), or as its address.
+    #[serde(default)]
+    transmission_mode: Option<TransmissionMode>,
+}
+
+/// Where an output stands.
+#[derive(Clone, Copy, Debug, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum TransmissionMode {
+    /// In the document.
+    Value,
+    /// At its own address.
+    Reference,
+}
+
+/// Which outputs are wanted, by the names that the process has.
+fn wanted(process: Process, request: &Execute) -> Result<Wanted, Problem> {
+    let outputs = process.description().outputs;
+    let known: Vec<&String> = outputs.as_object().into_iter().flat_map(|outputs| outputs.keys()).collect();
+    let mut wanted = Wanted { raw: matches!(request.response, Some(ResponseForm::Raw)), ..Wanted::default() };
+    for (name, output) in request.outputs.iter().flatten() {
+        if !known.contains(&name) {
+            let pointer = format!("/outputs/{}", schema::escape(name));
+            return Err(Problem::field(
+                Code::InvalidBody,
+                pointer,
+                "invalid_value",
+                format!("must be one of {known:?}"),
+            ));
+        }
+        let mode = match output.transmission_mode {
+            Some(TransmissionMode::Reference) => Transmission::Reference,
+            Some(TransmissionMode::Value) | None => Transmission::Value,
+        };
+        wanted.outputs.insert(name.clone(), mode);
+    }
+    if wanted.raw && wanted.outputs.is_empty() && known.len() == 1 {
+        wanted.outputs.insert(known[0].clone(), Transmission::Value);
+    }
+    if wanted.raw && wanted.outputs.len() != 1 {
+        let rule = format!("of raw results outputs must name exactly one of {known:?}");
+        return Err(Problem::field(Code::InvalidBody, "/outputs", "invalid_value", rule));
+    }
+    Ok(wanted)
 }
 
 fn find(id: &str) -> Result<Process, Problem> {
@@ -195,12 +246,14 @@ pub async fn execute_process(
     let wait = wait.within(state.config.request_timeout);
     let process = find(&path.process_id)?;
     let request: Execute = parse_json(&headers, &bytes)?;
+    let wanted = wanted(process, &request)?;
     let labels = request.labels.unwrap_or_default();
     check_labels(&labels)?;
     let submission = Submission {
         process,
         inputs: request.inputs.map_or_else(|| json!({}), Value::Object),
         labels,
+        wanted,
         priority: request.priority.unwrap_or_default(),
         reservation: reservation(&headers, caller.name.as_deref(), process, &bytes)?,
         submitted_by: caller.name,

@@ -120,6 +120,26 @@ pub struct Report {
 /// Names and values that a client hangs on a job to find it again.
 pub type Labels = BTreeMap<String, String>;
 
+/// How an output is answered (OGC API - Processes Part 1, section 7.11.2.3).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Transmission {
+    /// In the document, unless it is too large for that.
+    #[default]
+    Value,
+    /// As its address.
+    Reference,
+}
+
+/// Which of its outputs a job was asked for, and in which form.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Wanted {
+    /// Only these; empty: all.
+    pub outputs: BTreeMap<String, Transmission>,
+    /// The one output as it is, instead of a document.
+    pub raw: bool,
+}
+
 /// How urgent a job is, 0 (last) to 9 (first).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "f64", into = "u8")]
@@ -203,6 +223,9 @@ pub struct Job {
     pub submitted_by: Option<String>,
     /// Names and values to find it again.
     pub labels: Labels,
+    /// Which outputs it was asked for.
+    #[serde(default)]
+    pub wanted: Wanted,
     /// How urgent it is.
     pub priority: Priority,
     /// The job whose result this one is a part of.

@@ -6,14 +6,19 @@ use std::{
     sync::Arc,
 };
 
+use futures_util::TryStreamExt as _;
 use object_store::{
     ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart, local::LocalFileSystem, path::Path as Key,
 };
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
+use uuid::Uuid;
 
 use super::link::Artifact;
 use crate::store::jobs::OutputRecord;
+
+/// The object that says whose the place is.
+const OWNER: &str = "owner";
 
 /// Where the bytes of large outputs lie; clones share it.
 #[derive(Clone)]
@@ -72,6 +77,9 @@ pub enum ArtifactError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// Another service keeps its outputs there: each would remove those of the other.
+    #[error("artifact store: it belongs to another firn ({0}); give each a folder or prefix of its own")]
+    Foreign(String),
     /// This build does not speak S3.
     #[error("this firn speaks no S3: build it with --features s3")]
     NoS3,
@@ -95,7 +103,29 @@ impl Artifacts {
     /// [`ArtifactError`] where the folder cannot be made.
     pub fn folder(path: &Path) -> Result<Self, ArtifactError> {
         std::fs::create_dir_all(path).map_err(|source| ArtifactError::Folder { path: path.into(), source })?;
+        remove_unfinished(path).map_err(|source| ArtifactError::Folder { path: path.into(), source })?;
         Ok(Self(Arc::new(LocalFileSystem::new_with_prefix(path)?.with_fsync(true))))
+    }
+
+    /// Takes the place for the service of this id, once and for all.
+    ///
+    /// # Errors
+    /// [`ArtifactError::Foreign`] where it is another's, else [`ArtifactError`] where it does not answer.
+    pub async fn claim(&self, instance: Uuid) -> Result<(), ArtifactError> {
+        let (owner, own) = (Key::from(OWNER), instance.to_string());
+        let found = match self.0.get(&owner).await {
+            Ok(found) => found.bytes().await?,
+            Err(object_store::Error::NotFound { .. }) => {
+                self.0.put(&owner, PutPayload::from(own.into_bytes())).await?;
+                return Ok(());
+            }
+            Err(error) => return Err(error.into()),
+        };
+        if found == own.as_bytes() {
+            Ok(())
+        } else {
+            Err(ArtifactError::Foreign(String::from_utf8_lossy(&found).into()))
+        }
     }
 
     /// Stores an output and says how to find it; storing the same bytes again changes nothing.
@@ -152,6 +182,18 @@ impl Artifacts {
         Ok(self.0.get_range(&key(sha256), range).await?.to_vec())
     }
 
+    /// The digests of all that lies there, in no order; what does not look like ours is not among them.
+    ///
+    /// # Errors
+    /// [`ArtifactError`] where the store does not answer.
+    pub async fn digests(&self) -> Result<Vec<String>, ArtifactError> {
+        let found = self.0.list(None).try_filter_map(async |object| {
+            let name = object.location.as_ref();
+            Ok(is_digest(name).then(|| name.to_owned()))
+        });
+        Ok(found.try_collect().await?)
+    }
+
     /// Removes what nobody names any more; what cannot be removed now is only logged.
     pub async fn remove(&self, digests: &[String]) {
         for digest in digests {
@@ -163,10 +205,26 @@ impl Artifacts {
     }
 }
 
+fn is_digest(name: &str) -> bool {
+    name.len() == 64 && name.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
+}
+
+/// Removes what a killed process had begun to write: `object_store` writes beside the place, with # and a number behind
+/// the name, and lists no such file.
+fn remove_unfinished(folder: &Path) -> std::io::Result<()> {
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        let name = entry.file_name();
+        if name.to_str().and_then(|name| name.split_once('#')).is_some_and(|(digest, _)| is_digest(digest)) {
+            std::fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
 /// Address and credentials of the service are in the environment, under the names that every client of S3 knows.
 #[cfg(feature = "s3")]
 async fn s3(bucket: &str, prefix: &str) -> Result<Artifacts, ArtifactError> {
-    use futures_util::StreamExt as _;
     use object_store::{RetryConfig, aws::AmazonS3Builder, prefix::PrefixStore};
 
     // a delivery that fails is tried again by its worker: nothing is won by a longer wait here
@@ -175,7 +233,7 @@ async fn s3(bucket: &str, prefix: &str) -> Result<Artifacts, ArtifactError> {
     let store = AmazonS3Builder::from_env().with_bucket_name(bucket).with_retry(retry).build()?;
     let store = PrefixStore::new(store, prefix);
     // a bucket that is not there would else be noticed only with the first result
-    store.list(None).next().await.transpose()?;
+    store.list(None).try_next().await?;
     Ok(Artifacts(Arc::new(store)))
 }
 
@@ -233,6 +291,33 @@ mod tests {
         assert!(artifacts.get(&record.sha256, 0..record.size).await.unwrap() == expected);
         let missing = Artifact { pieces: vec![digest(b"nothing")], ..artifact };
         assert!(artifacts.put(&missing).await.is_err());
+    }
+
+    #[tokio::test]
+    async fn a_place_is_of_one_service() {
+        let folder = tempfile::tempdir().unwrap();
+        let artifacts = Artifacts::folder(folder.path()).unwrap();
+        let (own, other) = (Uuid::from_u128(1), Uuid::from_u128(2));
+        artifacts.claim(own).await.unwrap();
+        artifacts.claim(own).await.unwrap();
+        assert!(matches!(artifacts.claim(other).await, Err(ArtifactError::Foreign(owner)) if owner == own.to_string()));
+        assert!(artifacts.digests().await.unwrap().is_empty());
+    }
+
+    #[tokio::test]
+    async fn what_was_begun_is_removed_and_what_is_not_ours_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let half = format!("{}#1", digest(b"a"));
+        for name in [&half, "notes", "notes#1"] {
+            std::fs::write(folder.path().join(name), "x").unwrap();
+        }
+        let artifacts = Artifacts::folder(folder.path()).unwrap();
+        let stored = artifacts.put_piece(b"b").await.unwrap();
+        assert_eq!(artifacts.digests().await.unwrap(), [stored]);
+        let mut names: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        names.sort();
+        assert_eq!(names.len(), 3, "{names:?}");
+        assert!(!folder.path().join(&half).exists());
     }
 
     #[cfg(not(feature = "s3"))]

@@ -23,6 +23,10 @@ const MOST_TICKETS: u32 = 10_000;
 /// Rounds between two looks at what is old: ten minutes.
 const ROUNDS_TO_RETIRE: u32 = 300;
 
+/// Rounds between two looks at outputs that nobody names: a day. The first look is at the start, after whatever ended the
+/// process before.
+const ROUNDS_TO_SWEEP: u32 = 43_200;
+
 /// How long an idempotency key is remembered, hours.
 const KEY_HOURS: i64 = 24;
 
@@ -70,6 +74,13 @@ pub async fn run(desk: Desk, keep: Keep, stop: CancellationToken) {
             && let Err(error) = retire(&desk, keep).await
         {
             tracing::error!(%error, "old jobs could not be retired");
+        }
+        if round.is_multiple_of(ROUNDS_TO_SWEEP) {
+            match desk.sweep_artifacts().await {
+                Ok(0) => {}
+                Ok(outputs) => tracing::info!(outputs, "outputs that nobody names were removed"),
+                Err(error) => tracing::error!(%error, "outputs that nobody names could not be looked for"),
+            }
         }
         round = round.wrapping_add(1);
     }

@@ -35,6 +35,11 @@ pub enum Assignment {
     },
     /// It needs nobody any more.
     Over,
+    /// The worker is of another version than the desk, and would not compute what the desk promised.
+    OtherVersion {
+        /// That of the desk.
+        desk: String,
+    },
 }
 
 /// Whether what a worker sent counts.

@@ -23,6 +23,9 @@ use crate::domain::{
     job::{Report, Spent},
 };
 
+/// A worker of another version could give other numbers for the same inputs.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
 /// Where the desk listens.
 const DESK: &str = "firn.desk";
 
@@ -40,6 +43,9 @@ enum Ask {
     Claim {
         job: Uuid,
         worker: String,
+        // the oldest workers do not say
+        #[serde(default)]
+        version: String,
     },
     Beat {
         job: Uuid,
@@ -185,7 +191,8 @@ impl NatsLink {
 impl JobLink for NatsLink {
     fn claim<'a>(&'a self, job: Uuid, worker: &'a str) -> Boxed<'a, Result<Assignment, LinkError>> {
         Box::pin(async move {
-            match self.ask(&Ask::Claim { job, worker: worker.to_owned() }).await? {
+            let version = VERSION.to_owned();
+            match self.ask(&Ask::Claim { job, worker: worker.to_owned(), version }).await? {
                 Reply::Assignment(assignment) => Ok(assignment),
                 _ => Err(LinkError("an answer out of turn".into())),
             }
@@ -266,7 +273,10 @@ async fn answer(client: &Client, desk: &Desk, transfers: &Transfers, message: Me
 
 async fn decide(desk: &Desk, ask: Ask) -> Reply {
     let decided = match ask {
-        Ask::Claim { job, worker } => desk.claim(job, &worker).await.map(Reply::Assignment),
+        Ask::Claim { version, .. } if version != VERSION => {
+            Ok(Reply::Assignment(Assignment::OtherVersion { desk: VERSION.into() }))
+        }
+        Ask::Claim { job, worker, .. } => desk.claim(job, &worker).await.map(Reply::Assignment),
         Ask::Beat { job, attempt, report } => desk.beat(job, attempt, &report).await.map(Reply::Verdict),
         Ask::Log { job, attempt, lines } => desk.log(job, attempt, &lines).await.map(|()| Reply::Done),
         Ask::Checkpoint { job, attempt, bytes } => desk.checkpoint(job, attempt, &bytes).await.map(Reply::Verdict),
@@ -317,6 +327,36 @@ fn hand_out(transfers: &Transfers, id: Uuid, from: u64) -> Envelope {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[tokio::test]
+    async fn a_worker_of_another_version_gets_no_job() {
+        use crate::{
+            jobs::{Rules, artifacts::Artifacts, engine::local::Local},
+            store::Store,
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let artifacts = Artifacts::folder(&folder.path().join("artifacts")).unwrap();
+        let rules = Rules { most_waiting: 1, lease: Duration::from_secs(1), runout_memory_bytes: 0 };
+        let desk = Desk::new(store, Arc::new(Local::default()), artifacts, rules);
+        let claim = |version: &str| Ask::Claim { job: new_id(), worker: "w".into(), version: version.into() };
+        assert!(matches!(
+            decide(&desk, claim("0.0.0")).await,
+            Reply::Assignment(Assignment::OtherVersion { desk }) if desk == VERSION
+        ));
+        // of the same version, it is only told that there is no such job
+        assert!(matches!(decide(&desk, claim(VERSION)).await, Reply::Assignment(Assignment::Over)));
+    }
+
+    #[test]
+    fn a_claim_of_a_worker_that_does_not_say_its_version_can_be_read() {
+        #[derive(Serialize)]
+        enum Oldest {
+            Claim { job: Uuid, worker: String },
+        }
+        let bytes = pack(&Oldest::Claim { job: Uuid::from_u128(1), worker: "old".into() }).unwrap();
+        assert!(matches!(unpack(&bytes).unwrap(), Ask::Claim { version, .. } if version.is_empty()));
+    }
 
     #[test]
     fn a_large_message_comes_back_from_its_parts() {

@@ -64,6 +64,7 @@ struct Inner {
     options: WorkerOptions,
     running: Mutex<Vec<(Uuid, Arc<Control>)>>,
     stopping: CancellationToken,
+    unfit: CancellationToken,
     tasks: TaskTracker,
     fenced: AtomicU64,
 }
@@ -126,6 +127,7 @@ impl Worker {
             options,
             running: Mutex::default(),
             stopping: CancellationToken::new(),
+            unfit: CancellationToken::new(),
             tasks: TaskTracker::new(),
             fenced: AtomicU64::new(0),
         }));
@@ -139,6 +141,11 @@ impl Worker {
     #[must_use]
     pub fn fenced_results(&self) -> u64 {
         self.0.fenced.load(Ordering::Relaxed)
+    }
+
+    /// Waits until the desk turns this worker away, since it is of another version.
+    pub async fn unfit(&self) {
+        self.0.unfit.cancelled().await;
     }
 
     /// Takes no more tickets, lets what runs save its state and gives it back, within `deadline`.
@@ -206,6 +213,13 @@ impl Worker {
             }
             Ok(Assignment::Busy { retry_ms }) => lease.put_back(Duration::from_millis(retry_ms).max(SOON)).await,
             Ok(Assignment::Over) => lease.done().await,
+            Ok(Assignment::OtherVersion { desk }) => {
+                let own = env!("CARGO_PKG_VERSION");
+                tracing::error!(desk, own, "the server is of another version: no more jobs are taken");
+                self.0.unfit.cancel();
+                self.0.stopping.cancel();
+                lease.put_back(Duration::ZERO).await;
+            }
             Err(error) => {
                 tracing::warn!(job = %ticket.job, %error, "a job could not be claimed");
                 lease.put_back(RETRY).await;

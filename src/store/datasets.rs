@@ -146,7 +146,8 @@ impl Store {
         }
         sqlx::query("DELETE FROM dataset WHERE id = ?").bind(id.to_string()).execute(&mut *tx).await?;
         let others: i64 = sqlx::query_scalar(
-            "SELECT (SELECT count(*) FROM dataset WHERE sha256 = ?1) + (SELECT count(*) FROM job_output WHERE sha256 = ?1)",
+            "SELECT (SELECT count(*) FROM dataset WHERE sha256 = ?1) + (SELECT count(*) FROM job_output WHERE sha256 = ?1)
+                  + (SELECT count(*) FROM job_piece WHERE sha256 = ?1)",
         )
         .bind(&before.sha256)
         .fetch_one(&mut *tx)

@@ -29,6 +29,8 @@ use sqlx::{
 };
 use uuid::Uuid;
 
+use crate::domain::ids::new_id;
+
 /// Trained models that are kept ready; one takes about a MiB.
 const MODELS_IN_MEMORY: usize = 128;
 
@@ -115,6 +117,7 @@ impl Store {
         create_directory(data_dir)?;
         let path = data_dir.join("firn.db");
         refuse_foreign(&path)?;
+        create_private(&path)?;
         let options = SqliteConnectOptions::new()
             .filename(&path)
             .create_if_missing(true)
@@ -127,8 +130,21 @@ impl Store {
         check_library(&writer).await?;
         claim_file(&writer, &path).await?;
         sqlx::migrate!("./migrations").run(&writer).await?;
+        sqlx::query("INSERT OR IGNORE INTO instance (only_row, id) VALUES (1, ?)")
+            .bind(new_id().to_string())
+            .execute(&writer)
+            .await?;
         let reader = SqlitePoolOptions::new().max_connections(4).connect_with(options.read_only(true)).await?;
         Ok(Self { writer, reader, trained: Arc::new(Cache::new(MODELS_IN_MEMORY)) })
+    }
+
+    /// Which service the database is of: the same after a restart, and of nobody else but a copy of it.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn instance(&self) -> Result<Uuid> {
+        let id: String = sqlx::query_scalar("SELECT id FROM instance").fetch_one(&self.reader).await?;
+        id.parse().map_err(StoreError::corrupt)
     }
 
     /// Ends every connection after a last checkpoint.
@@ -190,6 +206,18 @@ fn create_directory(path: &Path) -> Result<()> {
         std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o700)).map_err(at(path))?;
     }
     Ok(())
+}
+
+/// Makes the file before SQLite does, which would let everybody read it; its journals get the rights of the file.
+fn create_private(path: &Path) -> Result<()> {
+    let mut options = File::options();
+    options.append(true).create(true);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::OpenOptionsExt as _;
+        options.mode(0o600);
+    }
+    options.open(path).map(drop).map_err(at(path))
 }
 
 fn at(path: &Path) -> impl Fn(std::io::Error) -> StoreError {

@@ -104,11 +104,10 @@ async fn metadata_can_be_edited_and_a_data_set_removed() {
     let unknown = json!({"name": "a", "metadata": {"grain": 1.0}});
     assert_eq!(app.put(&at, &unknown).await.pointers("invalid-body"), ["/metadata/grain"]);
 
-    let columns = || std::fs::read_dir(app.data_dir().join("artifacts")).unwrap().count();
-    assert_eq!(columns(), 1);
+    assert_eq!(app.stored(), 1);
     app.delete(&at).header("if-match", &tag).await.problem("precondition-failed");
     assert_eq!(app.delete(&at).await.status, 204);
-    assert_eq!((columns(), app.rows().await["dataset"]), (0, 0));
+    assert_eq!((app.stored(), app.rows().await["dataset"]), (0, 0));
     app.get(&at).await.problem("unknown-dataset");
     app.get(&format!("{at}/hits")).await.problem("unknown-dataset");
     app.put(&at, &body).await.problem("unknown-dataset");
@@ -157,10 +156,7 @@ async fn what_is_wrong_with_a_file_is_named_and_nothing_is_stored() {
     assert_eq!(cold.pointers("invalid-parameter"), ["/temperature_c"]);
     app.post("/v1/datasets?name=a").body("application/json", "{}").await.problem("unsupported-media-type");
     assert_eq!(app.rows().await["dataset"], 0);
-    assert!(
-        !app.data_dir().join("artifacts").exists()
-            || std::fs::read_dir(app.data_dir().join("artifacts")).unwrap().count() == 0
-    );
+    assert_eq!(app.stored(), 0);
     assert_eq!(std::fs::read_dir(app.data_dir().join("uploads")).unwrap().count(), 0, "uploads are cleared away");
 }
 

@@ -3,7 +3,7 @@
 use firn::{
     domain::{
         ids::new_id,
-        job::{Exception, Job, Labels, Priority, Report, Spent, Status},
+        job::{Exception, Job, Labels, Priority, Report, Spent, Status, Wanted},
     },
     store::jobs::{Claim, Outcome},
 };
@@ -283,6 +283,7 @@ fn job(process: &str, created: Timestamp) -> Job {
         version: "0".into(),
         submitted_by: None,
         labels: Labels::new(),
+        wanted: Wanted::default(),
         priority: Priority::default(),
         parent: None,
         position: None,

@@ -196,7 +196,17 @@ async fn a_body_that_is_no_execute_request_is_refused() {
     app.post(EXECUTION).body("text/plain", "{}").await.problem("unsupported-media-type");
     app.post(EXECUTION).body("application/json", "{").await.problem("invalid-json");
     assert_eq!(app.post(EXECUTION).json(&json!({"input": {}})).await.pointers("invalid-body"), ["/input"]);
+    let form = json!({"inputs": {}, "response": "xml"});
+    assert_eq!(app.post(EXECUTION).json(&form).await.pointers("invalid-body"), ["/response"]);
+    // raw is one output, and of several it must be said which
     let raw = json!({"inputs": {}, "response": "raw"});
-    assert_eq!(app.post(EXECUTION).json(&raw).await.pointers("invalid-body"), ["/response"]);
+    assert_eq!(app.post(EXECUTION).json(&raw).await.pointers("invalid-body"), ["/outputs"]);
+    let both = json!({"inputs": {}, "response": "raw", "outputs": {"model_id": {}, "scores": {}}});
+    assert_eq!(app.post(EXECUTION).json(&both).await.pointers("invalid-body"), ["/outputs"]);
+    let unknown = json!({"inputs": {}, "outputs": {"mode_id": {}}});
+    assert_eq!(app.post(EXECUTION).json(&unknown).await.pointers("invalid-body"), ["/outputs/mode_id"]);
+    let mode = json!({"inputs": {}, "outputs": {"model_id": {"transmissionMode": "post"}}});
+    let refused = app.post(EXECUTION).json(&mode).await;
+    assert_eq!(refused.pointers("invalid-body"), ["/outputs/model_id/transmissionMode"]);
     assert_eq!(app.post(EXECUTION).json(&json!({})).await.pointers("invalid-inputs").len(), 3);
 }

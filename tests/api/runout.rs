@@ -8,7 +8,7 @@ use reqwest::Method;
 use serde_json::{Value, json};
 
 use crate::support::{
-    TestApp,
+    self, TestApp,
     app::data_dir,
     binary::Serving,
     trained::{id, until},
@@ -209,8 +209,8 @@ async fn the_film_of_a_run_goes_on_over_a_restart() {
     assert_eq!(films[0], films[1]);
     // the film is put together and its pieces are gone: series, profiles and film, of both jobs the same
     assert!(films[0][2].as_u64() > Some(2 << 20), "{}: it is one piece", films[0][2]);
-    let (stored, since) = (data.path().join("artifacts"), Instant::now());
-    while std::fs::read_dir(&stored).unwrap().count() > 3 {
+    let since = Instant::now();
+    while support::app::stored(data.path()) > 3 {
         assert!(since.elapsed() < Duration::from_secs(60), "pieces are left");
         tokio::time::sleep(Duration::from_millis(100)).await;
     }

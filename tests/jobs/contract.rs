@@ -69,7 +69,7 @@ async fn claim(rig: &Rig, id: Uuid, worker: &str) -> (Job, Option<Vec<u8>>) {
     for _ in 0..40 {
         match rig.link.claim(id, worker).await {
             Ok(Assignment::Taken { job, checkpoint, .. }) => return (*job, checkpoint),
-            Ok(Assignment::Over) => panic!("{id} is over"),
+            Ok(Assignment::Over | Assignment::OtherVersion { .. }) => panic!("{id} is not to be had"),
             // the lease of the one before has not ended, or the desk listens only now
             Ok(Assignment::Busy { .. }) | Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
         }

@@ -81,3 +81,25 @@ async fn the_stream_of_a_parent_tells_how_many_children_are_open() {
     assert_eq!(open[open.len() - 3..], [2, 1, 0], "{told:?}");
     assert_eq!(ended(&app, &job).await["progress"], 100);
 }
+
+#[tokio::test]
+async fn only_so_many_streams_are_open_at_once() {
+    let app = TestApp::with(|config| config.max_requests = 2).await;
+    let job = echo(&app, json!({"message": "a", "delay_s": 60})).await;
+    let at = format!("http://{}/v1/jobs/{job}/events", app.address);
+    let client = reqwest::Client::builder().no_proxy().build().unwrap();
+    // the answer is there once its head is: the bodies stay unread and open
+    let open = || async { client.get(&at).send().await.unwrap() };
+    let (one, two) = (open().await, open().await);
+    assert!(one.status() == 200 && two.status() == 200);
+    let refused = app.get(&format!("/v1/jobs/{job}/events")).await;
+    assert_eq!(refused.header("retry-after"), "10");
+    refused.problem("overloaded");
+    drop(one);
+    until(&app, &job, |status| status["status"] == "running").await;
+    let since = std::time::Instant::now();
+    while open().await.status() != 200 {
+        assert!(since.elapsed() < crate::processes::PATIENCE, "a stream that was closed still counts");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}

@@ -76,18 +76,43 @@ async fn an_attachment_can_be_had_in_parts() {
 #[tokio::test]
 async fn equal_attachments_of_two_jobs_are_stored_once_and_kept_for_the_other() {
     let app = TestApp::start().await;
-    let stored = || std::fs::read_dir(app.data_dir().join("artifacts")).unwrap().count();
     let mut jobs = Vec::new();
     for message in ["a", "b"] {
         let job = echo(&app, json!({"message": message, "attachment_bytes": 1000})).await;
         ended(&app, &job).await;
         jobs.push(job);
     }
-    assert_eq!(stored(), 1);
+    assert_eq!(app.stored(), 1);
     app.delete(&format!("/v1/jobs/{}", jobs[0])).await.json(200);
     assert_eq!(app.get(&format!("/v1/jobs/{}/results/attachment", jobs[1])).await.body.len(), 1000);
     app.delete(&format!("/v1/jobs/{}", jobs[1])).await.json(200);
-    assert_eq!(stored(), 0);
+    assert_eq!(app.stored(), 0);
+}
+
+#[tokio::test]
+async fn what_nobody_names_is_removed_and_what_somebody_names_stays() {
+    let app = TestApp::start().await;
+    let job = echo(&app, json!({"message": "a", "attachment_bytes": 1000})).await;
+    ended(&app, &job).await;
+    app.post("/v1/datasets?name=a&amplitude_unit=v").body("text/csv", "amplitude\n1\n2\n").await.json(201);
+    // as a kill between storing and writing the row leaves it
+    let desk = &app.state.desk;
+    desk.artifacts().put_piece(b"nobody names me").await.unwrap();
+    // the caretaker may have been first
+    assert!(desk.sweep_artifacts().await.unwrap() <= 1);
+    assert_eq!(app.stored(), 2);
+    assert_eq!(app.get(&format!("/v1/jobs/{job}/results/attachment")).await.body.len(), 1000);
+}
+
+#[tokio::test]
+async fn two_services_do_not_share_a_place_for_outputs() {
+    let app = TestApp::start().await;
+    let place = app.data_dir().join("artifacts");
+    let data = crate::support::app::data_dir();
+    let mut config = crate::support::app::config(data.path());
+    config.artifacts = place.to_str().unwrap().parse().unwrap();
+    let refused = firn::server::Server::bind(config).await.err().expect("it belongs to another").to_string();
+    assert!(refused.contains("belongs to another firn"), "{refused}");
 }
 
 #[tokio::test]

@@ -40,6 +40,31 @@ async fn a_job_tells_what_it_was_made_of() {
 }
 
 #[tokio::test]
+async fn results_are_what_was_asked_for() {
+    let app = TestApp::start().await;
+    let inputs = json!({"message": "a", "attachment_bytes": 5});
+    let results = async |wish: Value| {
+        let mut request = json!({"inputs": inputs});
+        request.as_object_mut().unwrap().extend(wish.as_object().unwrap().clone());
+        let job = id(&app.post(EXECUTION).json(&request).await.json(201)).to_owned();
+        ended(&app, &job).await;
+        (app.get(&format!("/v1/jobs/{job}/results")).await, job)
+    };
+    let (all, _) = results(json!({"outputs": {}})).await;
+    assert_eq!(all.json(200).as_object().unwrap().len(), 2);
+    let (some, _) = results(json!({"outputs": {"message": {"transmissionMode": "value"}}})).await;
+    assert_eq!(some.json(200), json!({"message": "a"}));
+    let (address, job) = results(json!({"outputs": {"message": {"transmissionMode": "reference"}}})).await;
+    let at = format!("/v1/jobs/{job}/results/message");
+    assert_eq!(address.json(200), json!({"message": {"href": at, "type": "application/json"}}));
+    assert_eq!(app.read(&at).await, "a");
+    let (raw, _) = results(json!({"response": "raw", "outputs": {"message": {}}})).await;
+    assert_eq!(raw.json(200), "a");
+    let (bytes, _) = results(json!({"response": "raw", "outputs": {"attachment": {}}})).await;
+    assert_eq!((bytes.header("content-type"), &bytes.body[..]), ("application/octet-stream", &[0, 1, 2, 3, 4][..]));
+}
+
+#[tokio::test]
 async fn jobs_are_found_by_their_labels() {
     let app = TestApp::start().await;
     let label = async |labels: Value| {

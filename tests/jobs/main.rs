@@ -25,3 +25,4 @@ mod shutdown;
 #[path = "../api/support/mod.rs"]
 #[allow(dead_code, unused_imports, reason = "shared with the tests of the API, which use more of it")]
 mod support;
+mod versions;

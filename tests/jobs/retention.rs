@@ -3,7 +3,7 @@
 use firn::{
     domain::{
         ids::new_id,
-        job::{Job, Labels, Priority, Report, Spent, Status},
+        job::{Job, Labels, Priority, Report, Spent, Status, Wanted},
     },
     store::{
         Store,
@@ -35,6 +35,7 @@ fn job(created: Timestamp, parent: Option<Uuid>) -> Job {
         version: "0".into(),
         submitted_by: None,
         labels: Labels::new(),
+        wanted: Wanted::default(),
         priority: Priority::default(),
         parent,
         position: None,

@@ -6,7 +6,7 @@ use std::{
 };
 
 use firn::{
-    domain::job::{Job, Labels, Priority, Report, Spent},
+    domain::job::{Job, Labels, Priority, Report, Spent, Wanted},
     jobs::{
         Desk, Rules, Submission, Submitted,
         artifacts::Artifacts,
@@ -100,6 +100,7 @@ impl Rig {
             process: Process::Echo,
             inputs,
             labels: Labels::new(),
+            wanted: Wanted::default(),
             priority: Priority::try_from(priority).unwrap(),
             submitted_by: None,
             anew: false,
@@ -114,7 +115,14 @@ impl Rig {
 
     /// The same with states that take so long to be stored.
     pub fn slow_states(&mut self, delay: Duration) {
-        self.link = Arc::new(SlowStates { link: Arc::clone(&self.link), delay, begun: Arc::clone(&self.state_begun) });
+        let (link, begun) = (Arc::clone(&self.link), Arc::clone(&self.state_begun));
+        self.link = Arc::new(Between { link, delay, begun, newer_desk: false });
+    }
+
+    /// As if the desk were of another version than the workers.
+    pub fn newer_desk(&mut self) {
+        let (link, begun) = (Arc::clone(&self.link), Arc::clone(&self.state_begun));
+        self.link = Arc::new(Between { link, delay: Duration::ZERO, begun, newer_desk: true });
     }
 
     /// Waits until a slow state is on its way.
@@ -182,15 +190,19 @@ async fn desk(engine: &Arc<dyn Engine>, lease: Duration) -> (Store, Desk, TempDi
     (store, desk, data)
 }
 
-/// A link over which states take their time.
-struct SlowStates {
+/// A link over which states take their time, or behind which there is a desk of another version.
+struct Between {
     link: Arc<dyn JobLink>,
     delay: Duration,
     begun: Arc<Notify>,
+    newer_desk: bool,
 }
 
-impl JobLink for SlowStates {
+impl JobLink for Between {
     fn claim<'a>(&'a self, job: Uuid, worker: &'a str) -> Boxed<'a, Result<Assignment, LinkError>> {
+        if self.newer_desk {
+            return Box::pin(async { Ok(Assignment::OtherVersion { desk: "99.0.0".into() }) });
+        }
         self.link.claim(job, worker)
     }
 

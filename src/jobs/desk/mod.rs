@@ -28,7 +28,7 @@ use crate::{
     domain::{
         dataset::Dataset,
         ids::new_id,
-        job::{Job, Labels, Priority, Report, Spent, Status},
+        job::{Job, Labels, Priority, Report, Spent, Status, Wanted},
         problem::{Code, Problem},
     },
     store::{
@@ -79,6 +79,8 @@ pub struct Submission {
     pub inputs: Value,
     /// Names and values to find the job again.
     pub labels: Labels,
+    /// Which outputs are wanted.
+    pub wanted: Wanted,
     /// How urgent it is.
     pub priority: Priority,
     /// Who asks.
@@ -256,7 +258,8 @@ impl Desk {
         let accepted = process.accept(self.shelf(), &submission.inputs).await?;
         if process.is_pure() && !submission.anew {
             let version = env!("CARGO_PKG_VERSION");
-            let same = store.job_of_input(process.id(), &accepted.hash, version).await.map_err(Problem::internal)?;
+            let same = store.job_of_input(process.id(), &accepted.hash, version, &submission.wanted).await;
+            let same = same.map_err(Problem::internal)?;
             if let Some(job) = same {
                 let answer = render(&job, true);
                 if let Some(reservation) = &submission.reservation {
@@ -271,6 +274,7 @@ impl Desk {
         }
         let mut job = new_job(process, accepted.inputs, accepted.hash);
         job.labels = submission.labels;
+        job.wanted = submission.wanted;
         job.priority = submission.priority;
         job.submitted_by = submission.submitted_by;
         let answer = render(&job, false);
@@ -331,6 +335,27 @@ impl Desk {
         Ok(())
     }
 
+    /// Removes what lies in the artifact store and nobody names: outputs and data sets that were stored when the process was
+    /// killed, before their row was. Says how many there were.
+    ///
+    /// # Errors
+    /// [`Problem`] where the store or the database does not answer.
+    pub async fn sweep_artifacts(&self) -> Result<usize, Problem> {
+        // while nobody waits: what is stored meanwhile is not among them, and what is named meanwhile is looked at again
+        let stored = self.0.artifacts.digests().await.map_err(Problem::internal)?;
+        let mut removed = 0;
+        for some in stored.chunks(1000) {
+            if self.0.store.unnamed(some).await.map_err(Problem::internal)?.is_empty() {
+                continue;
+            }
+            let _alone = self.0.naming.write().await;
+            let spare = self.0.store.unnamed(some).await.map_err(Problem::internal)?;
+            self.0.artifacts.remove(&spare).await;
+            removed += spare.len();
+        }
+        Ok(removed)
+    }
+
     /// Issues tickets; where the engine does not answer, the caretaker issues them later.
     pub async fn ticket(&self, jobs: &[(Uuid, u8, u32)]) {
         if jobs.is_empty() {
@@ -380,6 +405,7 @@ fn new_job(process: Process, inputs: Value, input_hash: String) -> Job {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         submitted_by: None,
         labels: Labels::new(),
+        wanted: Wanted::default(),
         priority: Priority::default(),
         parent: None,
         position: None,

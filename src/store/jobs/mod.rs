@@ -22,7 +22,7 @@ use rows::JobRow;
 use super::{Result, Store, StoreError, models::NewModel, selections::NewSelection, to_json};
 use crate::domain::{
     dataset::Dataset,
-    job::{Event, Job, Status},
+    job::{Event, Job, Status, Wanted},
 };
 
 /// What is kept beside a job, in the transaction that ends it.
@@ -83,12 +83,17 @@ async fn step(tx: &mut Transaction<'_, Sqlite>, id: Uuid, event: Event) -> Resul
     Ok(status.after(event)?)
 }
 
+/// As it stands in the row: nothing where all is wanted, so that the same wish is the same text.
+fn wanted(wanted: &Wanted) -> Result<Option<String>> {
+    if *wanted == Wanted::default() { Ok(None) } else { to_json(wanted).map(Some) }
+}
+
 /// Writes a job that nobody has taken yet.
 async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &Job) -> Result<()> {
     sqlx::query(
         "INSERT INTO job (id, process_id, status, progress, inputs, input_hash, version, submitted_by, labels, priority,
-             parent, position, created, updated, ticketed_ms)
-         VALUES (?1, ?2, 'accepted', 0, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?11, ?12)",
+             parent, position, created, updated, ticketed_ms, wanted)
+         VALUES (?1, ?2, 'accepted', 0, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?11, ?12, ?13)",
     )
     .bind(job.id.to_string())
     .bind(&job.process_id)
@@ -103,6 +108,7 @@ async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &Job) -> Result<()> {
     .bind(job.created.to_string())
     // its ticket follows at once, and a start issues all tickets again: that saves a second write a job
     .bind(job.created.as_millisecond())
+    .bind(wanted(&job.wanted)?)
     .execute(&mut **tx)
     .await?;
     history::note(tx, job.id, "status", &serde_json::json!({"status": Status::Accepted})).await
@@ -148,18 +154,26 @@ impl Store {
         text.flatten().as_deref().map(super::from_json).transpose()
     }
 
-    /// The newest successful job with the same process, input hash and version: its results are those of a new one.
+    /// The newest successful job with the same process, input hash and version, and the same wish for its outputs: its
+    /// results are those of a new one.
     ///
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
-    pub async fn job_of_input(&self, process_id: &str, input_hash: &str, version: &str) -> Result<Option<Job>> {
+    pub async fn job_of_input(
+        &self,
+        process_id: &str,
+        input_hash: &str,
+        version: &str,
+        wish: &Wanted,
+    ) -> Result<Option<Job>> {
         let row = sqlx::query_as::<_, JobRow>(
-            "SELECT * FROM job WHERE input_hash = ? AND process_id = ? AND version = ? AND status = 'successful'
-             ORDER BY id DESC LIMIT 1",
+            "SELECT * FROM job WHERE input_hash = ? AND process_id = ? AND version = ? AND wanted IS ?
+             AND status = 'successful' ORDER BY id DESC LIMIT 1",
         )
         .bind(input_hash)
         .bind(process_id)
         .bind(version)
+        .bind(wanted(wish)?)
         .fetch_optional(&self.reader)
         .await?;
         Ok(row.map(|row| row.0))

@@ -4,7 +4,7 @@ use sqlx::{FromRow, Row, Sqlite, Transaction, sqlite::SqliteRow};
 use uuid::Uuid;
 
 use super::attempts;
-use crate::store::{Result, Store};
+use crate::store::{Result, Store, to_json};
 
 /// Jobs that have ended.
 const ENDED: &str = "SELECT id FROM job WHERE status IN ('successful', 'failed', 'dismissed')";
@@ -109,6 +109,7 @@ impl Store {
         let mut tx = self.begin().await?;
         let spare = format!(
             "SELECT sha256 FROM job_piece WHERE job IN ({ENDED}) EXCEPT SELECT sha256 FROM job_output
+             EXCEPT SELECT sha256 FROM dataset
              EXCEPT SELECT sha256 FROM job_piece WHERE job NOT IN ({ENDED})"
         );
         let digests = sqlx::query_scalar(sqlx::AssertSqlSafe(spare)).fetch_all(&mut *tx).await?;
@@ -116,5 +117,15 @@ impl Store {
         sqlx::query(sqlx::AssertSqlSafe(gone)).execute(&mut *tx).await?;
         tx.commit().await?;
         Ok(digests)
+    }
+
+    /// Those of some digests that no job and no data set names.
+    ///
+    /// # Errors
+    /// [`crate::store::StoreError::Sql`] where the database cannot be read.
+    pub async fn unnamed(&self, digests: &[String]) -> Result<Vec<String>> {
+        let sql = "SELECT value FROM json_each(?) EXCEPT SELECT sha256 FROM job_output
+                   EXCEPT SELECT sha256 FROM job_piece EXCEPT SELECT sha256 FROM dataset";
+        Ok(sqlx::query_scalar(sql).bind(to_json(digests)?).fetch_all(&self.reader).await?)
     }
 }

@@ -40,6 +40,7 @@ fn read(row: &SqliteRow) -> Result<Job> {
         version: row.try_get("version")?,
         submitted_by: row.try_get("submitted_by")?,
         labels: from_json(row.try_get("labels")?)?,
+        wanted: row.try_get::<Option<String>, _>("wanted")?.as_deref().map(from_json).transpose()?.unwrap_or_default(),
         priority: Priority::try_from(row.try_get::<u8, _>("priority")?).map_err(StoreError::corrupt)?,
         parent: parent.map(|id| id.parse().map_err(StoreError::corrupt)).transpose()?,
         position: row.try_get("position")?,

@@ -183,6 +183,11 @@ impl TestApp {
     }
 
     /// Where the data are.
+    /// How many outputs and columns of data sets lie beside the database.
+    pub fn stored(&self) -> usize {
+        stored(self.data_dir())
+    }
+
     pub fn data_dir(&self) -> &Path {
         self.data.path()
     }
@@ -210,4 +215,10 @@ impl Drop for TestApp {
     fn drop(&mut self) {
         self.stop.cancel();
     }
+}
+
+/// How many outputs and columns of data sets lie in a data directory: each is called by its digest.
+pub fn stored(data_dir: &Path) -> usize {
+    let files = std::fs::read_dir(data_dir.join("artifacts")).into_iter().flatten();
+    files.filter(|file| file.as_ref().unwrap().file_name().len() == 64).count()
 }

@@ -97,8 +97,8 @@ impl<'a> Part<'a> {
             svm: Probabilities { out_of_fold: svm.out_of_fold.clone(), test: (0..test.len()).map(decision).collect() },
             climatology: self.climatology(test),
             persistence: self.persistence(test),
-            knn10: self.neighbours_by_variables(test, 10),
-            knn30: self.neighbours(&self.features, &features, 30),
+            knn10: self.neighbours_by_variables(test, 10, progress)?,
+            knn30: self.neighbours(&self.features, &features, 30, progress)?,
             logistic: self.logistic(&features, progress)?,
         })
     }
@@ -152,7 +152,8 @@ impl<'a> Part<'a> {
         let found = svm::grid_search(&x, event, &self.fold, options.kernel, &options.grid, &solver, progress)?;
         let platt = svm::fit_platt(&found.decision_values, event)?;
         let kernel = options.kernel.with_gamma(found.best.gamma.unwrap_or(1.0));
-        let machine = svm::train(&x, event, kernel, Cost::balanced(found.best.c, event), &solver)?;
+        let (cost, stop) = (Cost::balanced(found.best.c, event), || progress.cancelled());
+        let machine = svm::train_unless(&x, event, kernel, cost, &solver, &stop)?;
         let out_of_fold = found.decision_values.iter().map(|&f| platt.probability(f)).collect();
         Ok(FittedSvm { columns, machine, platt, best: found.best, out_of_fold })
     }
@@ -193,23 +194,42 @@ impl<'a> Part<'a> {
         Probabilities { out_of_fold, test: test.iter().map(|&i| probability(&fitted, i)).collect() }
     }
 
-    fn neighbours_by_variables(&self, test: &[usize], k: usize) -> Probabilities {
+    fn neighbours_by_variables(
+        &self,
+        test: &[usize],
+        k: usize,
+        progress: &dyn Progress,
+    ) -> Result<Probabilities, TrainingError> {
         let raw = self.samples.variables.select_rows(self.rows);
         let preparation = Preparation::fit(&raw);
         let test = preparation.transform(&self.samples.variables.select_rows(test));
-        self.neighbours(&preparation.transform(&raw), &test, k)
+        self.neighbours(&preparation.transform(&raw), &test, k, progress)
     }
 
     /// `training` and `test` are standardised.
-    fn neighbours(&self, training: &Matrix, test: &Matrix, k: usize) -> Probabilities {
+    fn neighbours(
+        &self,
+        training: &Matrix,
+        test: &Matrix,
+        k: usize,
+        progress: &dyn Progress,
+    ) -> Result<Probabilities, TrainingError> {
         let neighbours = Neighbours::new(training, &self.event);
-        let other_fold =
-            |i: usize| neighbours.probability(training.row(i), k, |j| self.fold[j] != self.fold[i]).unwrap_or_default();
-        let of_test = |i| neighbours.probability(test.row(i), k, |_| true).unwrap_or_default();
-        Probabilities {
-            out_of_fold: (0..training.rows()).map(other_fold).collect(),
-            test: (0..test.rows()).map(of_test).collect(),
-        }
+        // of many days each takes its time
+        let wanted = || if progress.cancelled() { Err(TrainingError::Cancelled) } else { Ok(()) };
+        let other_fold = |i: usize| {
+            wanted()?;
+            let nearest = neighbours.probability(training.row(i), k, |j| self.fold[j] != self.fold[i]);
+            Ok(nearest.unwrap_or_default())
+        };
+        let of_test = |i| {
+            wanted()?;
+            Ok(neighbours.probability(test.row(i), k, |_| true).unwrap_or_default())
+        };
+        Ok(Probabilities {
+            out_of_fold: (0..training.rows()).map(other_fold).collect::<Result<_, TrainingError>>()?,
+            test: (0..test.rows()).map(of_test).collect::<Result<_, TrainingError>>()?,
+        })
     }
 
     /// The penalty is that of the highest out-of-fold likelihood.

@@ -137,7 +137,7 @@ pub enum TrainingError {
     Grid(GridError),
     /// A machine could not be fitted.
     #[error("support vector machine: {0}")]
-    Machine(#[from] SolverError),
+    Machine(SolverError),
     /// Decision values could not be turned into probabilities.
     #[error("calibration: {0}")]
     Calibration(#[from] CalibrationError),
@@ -157,6 +157,15 @@ impl From<GridError> for TrainingError {
         match error {
             GridError::Cancelled => Self::Cancelled,
             error => Self::Grid(error),
+        }
+    }
+}
+
+impl From<SolverError> for TrainingError {
+    fn from(error: SolverError) -> Self {
+        match error {
+            SolverError::Cancelled => Self::Cancelled,
+            error => Self::Machine(error),
         }
     }
 }

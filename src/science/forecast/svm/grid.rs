@@ -322,7 +322,7 @@ impl Search<'_> {
         }
         let selection = Selection::new(&fold.training);
         let machines = self.path(&mut WholeRows::new(&gram.select(&selection)), gamma, fold)?;
-        Ok(held_out_values(fold, &machines, |row, out| selection.gather(gram.padded_row(row), out)))
+        self.held_out_values(fold, &machines, |row, out| selection.gather(gram.padded_row(row), out))
     }
 
     /// One fold at every cost, on cached rows.
@@ -332,9 +332,9 @@ impl Search<'_> {
         let mut rows = CachedRows::new(self.x, &fold.training, kernel, limit);
         let machines = self.path(&mut rows, gamma, fold)?;
         let mut pairs = vec![0.0; rows.columns().stride()];
-        Ok(held_out_values(fold, &machines, |row, out| {
+        self.held_out_values(fold, &machines, |row, out| {
             rows.columns().kernel_row(&kernel, self.x.row(row), &mut pairs, out);
-        }))
+        })
     }
 
     /// Machines of one fold at every cost, in the order of the grid. They are fitted from the smallest cost upwards.
@@ -365,6 +365,27 @@ impl Search<'_> {
         }
         Ok(machines)
     }
+
+    /// Decision values by machine and held-out row; `fill` writes the kernel values of a row with the training rows.
+    fn held_out_values(
+        &self,
+        fold: &Fold,
+        machines: &[Signed],
+        mut fill: impl FnMut(usize, &mut [f32]),
+    ) -> Result<Vec<Vec<f64>>, GridError> {
+        let mut values = vec![Vec::with_capacity(fold.held_out.len()); machines.len()];
+        let mut kernel_row = vec![0.0_f32; lanes::padded(fold.training.len())];
+        for &row in &fold.held_out {
+            if self.steps.progress.cancelled() {
+                return Err(GridError::Cancelled);
+            }
+            fill(row, &mut kernel_row);
+            for (values, machine) in values.iter_mut().zip(machines) {
+                values.push(dot(&machine.beta, &kernel_row) - machine.rho);
+            }
+        }
+        Ok(values)
+    }
 }
 
 fn failure(c: f64, gamma: Option<f64>, fold: &Fold, source: SolverError) -> GridError {
@@ -379,19 +400,6 @@ fn failure(c: f64, gamma: Option<f64>, fold: &Fold, source: SolverError) -> Grid
 struct Signed {
     beta: Vec<f64>,
     rho: f64,
-}
-
-/// Decision values by machine and held-out row; `fill` writes the kernel values of a row with the training rows.
-fn held_out_values(fold: &Fold, machines: &[Signed], mut fill: impl FnMut(usize, &mut [f32])) -> Vec<Vec<f64>> {
-    let mut values = vec![Vec::with_capacity(fold.held_out.len()); machines.len()];
-    let mut kernel_row = vec![0.0_f32; lanes::padded(fold.training.len())];
-    for &row in &fold.held_out {
-        fill(row, &mut kernel_row);
-        for (values, machine) in values.iter_mut().zip(machines) {
-            values.push(dot(&machine.beta, &kernel_row) - machine.rho);
-        }
-    }
-    values
 }
 
 /// Sum of the products of `alpha_i y_i` and a padded kernel row.

@@ -46,6 +46,21 @@ pub fn train(
     cost: Cost,
     options: &SolverOptions,
 ) -> Result<Machine, SolverError> {
+    train_unless(x, labels, kernel, cost, options, &|| false)
+}
+
+/// [`train`] until `stop` says so, which is asked some times a second.
+///
+/// # Errors
+/// [`SolverError`]; [`SolverError::RowOutOfRange`] never.
+pub fn train_unless(
+    x: &Matrix,
+    labels: &[bool],
+    kernel: Kernel,
+    cost: Cost,
+    options: &SolverOptions,
+    stop: &dyn Fn() -> bool,
+) -> Result<Machine, SolverError> {
     check_problem(x.rows(), labels, cost, options)?;
     if !kernel.is_valid() {
         return Err(SolverError::InvalidGamma);
@@ -53,18 +68,18 @@ pub fn train(
     check_features(x)?;
     let solution = if kernel == Kernel::Linear {
         let mut dual = Dual::new(labels, cost);
-        let effort = solve_linear(&mut dual, &Columns::of_rows(x, 0..x.rows()), options, &|| false)?;
+        let effort = solve_linear(&mut dual, &Columns::of_rows(x, 0..x.rows()), options, stop)?;
         dual.solution(effort)
     } else if Gram::bytes(x.rows()) <= options.memory_limit_bytes {
         let gram = Gram::of_rows(x, kernel);
         if !gram.is_finite() {
             return Err(SolverError::NotFinite);
         }
-        solve_rows(&mut WholeRows::new(&gram), labels, cost, options, None)?
+        solve_rows(&mut WholeRows::new(&gram), labels, cost, options, None, stop)?
     } else {
         let all: Vec<usize> = (0..x.rows()).collect();
         let mut rows = CachedRows::new(x, &all, kernel, options.memory_limit_bytes);
-        solve_rows(&mut rows, labels, cost, options, None)?
+        solve_rows(&mut rows, labels, cost, options, None, stop)?
     };
     Ok(Machine::of_solution(x, labels, kernel, &solution))
 }

@@ -35,7 +35,7 @@ pub use elimination::{Elimination, EliminationError, EliminationRecipe, eliminat
 pub use gram::{Gram, PairTable};
 pub use grid::{Grid, GridError, GridPoint, GridResult, grid_search};
 pub use kernel::{Kernel, KernelFamily};
-pub use machine::{Machine, train};
+pub use machine::{Machine, train, train_unless};
 pub use solver::{Cost, Solution, SolverError, SolverOptions, solve};
 
 #[cfg(test)]

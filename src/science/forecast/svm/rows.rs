@@ -14,6 +14,9 @@ pub(super) trait Rows {
     /// `k(x_i, x_i)` of every row, padded with zeros to whole lanes.
     fn diagonal(&self) -> &[f32];
 
+    /// Multiplications that one row takes at most.
+    fn row_work(&self) -> usize;
+
     /// Row `i`, padded with zeros to whole lanes.
     fn row(&mut self, i: usize) -> &[f32];
 
@@ -43,6 +46,10 @@ impl Rows for WholeRows<'_> {
 
     fn diagonal(&self) -> &[f32] {
         &self.diagonal
+    }
+
+    fn row_work(&self) -> usize {
+        self.gram.rows()
     }
 
     #[inline(always)]
@@ -139,6 +146,10 @@ impl Rows for CachedRows {
 
     fn diagonal(&self) -> &[f32] {
         &self.diagonal
+    }
+
+    fn row_work(&self) -> usize {
+        self.columns.rows() * self.points.first().map_or(1, Vec::len)
     }
 
     fn row(&mut self, i: usize) -> &[f32] {

@@ -15,8 +15,11 @@ const AT_BOUND: f64 = 1e-12;
 /// How often a residual is computed afresh before a fit counts as failed.
 const MAX_REFRESHES: usize = 20;
 
-/// Iterations between two looks at whether the caller still wants the result.
+/// Most iterations between two looks at whether the caller still wants the result.
 const ITERATIONS_A_LOOK: usize = 8192;
+
+/// Multiplications between two looks, about: some hundredths of a second.
+const WORK_A_LOOK: usize = 1 << 26;
 
 /// The dual problem in signed variables (see [`super`]) with a feasible point. Arrays are padded to whole lanes with
 /// entries that can neither rise nor fall.
@@ -156,12 +159,21 @@ impl Dual {
 
     /// The residual from the definition, in row order: what makes a point that is kept valid for other `rows`.
     pub(super) fn refresh(&mut self, rows: &mut dyn Rows) {
+        self.refresh_unless(rows, &|| false);
+    }
+
+    /// [`Self::refresh`] until `stop` says so; whether it came to its end.
+    fn refresh_unless(&mut self, rows: &mut dyn Rows, stop: &dyn Fn() -> bool) -> bool {
         self.residual.copy_from_slice(&self.target);
         for j in 0..rows.count() {
             if self.beta[j] != 0.0 {
+                if stop() {
+                    return false;
+                }
                 subtract_row(&mut self.residual, self.beta[j], rows.row(j));
             }
         }
+        true
     }
 
     /// Largest residual of what can rise and least of what can fall: m and M of Fan, Chen & Lin (2005).
@@ -224,11 +236,13 @@ impl Dual {
         if !rows.diagonal().iter().all(|k| k.is_finite()) {
             return Err(SolverError::NotFinite);
         }
+        // an iteration reads two rows, which may have to be computed first
+        let a_look = (WORK_A_LOOK / (2 * rows.row_work()).max(1)).clamp(1, ITERATIONS_A_LOOK);
         let mut iterations = 0;
         let mut gap = f64::INFINITY;
         for _ in 0..MAX_REFRESHES {
             loop {
-                let budget = ITERATIONS_A_LOOK.min(options.max_iterations - iterations);
+                let budget = a_look.min(options.max_iterations - iterations);
                 let (done, finished) = descend(self, rows, options.epsilon, budget);
                 iterations += done;
                 if finished {
@@ -242,7 +256,9 @@ impl Dual {
                     return Err(SolverError::TooManyIterations { iterations, gap: most - least });
                 }
             }
-            self.refresh(rows);
+            if !self.refresh_unless(rows, stop) {
+                return Err(SolverError::Cancelled);
+            }
             let (most, least) = self.extremes();
             gap = most - least;
             if gap.is_nan() {

@@ -166,9 +166,10 @@ pub fn solve(
     check_problem(rows.len(), labels, cost, options)?;
     let is_whole = rows.len() == gram.rows() && rows.iter().enumerate().all(|(position, &row)| position == row);
     if is_whole {
-        return solve_rows(&mut WholeRows::new(gram), labels, cost, options, warm_start);
+        return solve_rows(&mut WholeRows::new(gram), labels, cost, options, warm_start, &|| false);
     }
-    solve_rows(&mut WholeRows::new(&gram.select(&Selection::new(rows))), labels, cost, options, warm_start)
+    let selected = gram.select(&Selection::new(rows));
+    solve_rows(&mut WholeRows::new(&selected), labels, cost, options, warm_start, &|| false)
 }
 
 /// [`solve`] on any source of rows, once the inputs are known to be sound.
@@ -178,6 +179,7 @@ pub(super) fn solve_rows(
     cost: Cost,
     options: &SolverOptions,
     warm_start: Option<&[f64]>,
+    stop: &dyn Fn() -> bool,
 ) -> Result<Solution, SolverError> {
     let mut dual = Dual::new(labels, cost);
     if let Some(alpha) = warm_start {
@@ -187,7 +189,7 @@ pub(super) fn solve_rows(
         }
         dual.start_from(alpha, rows);
     }
-    let effort = dual.solve(rows, options, &|| false)?;
+    let effort = dual.solve(rows, options, stop)?;
     Ok(dual.solution(effort))
 }
 
