@@ -396,7 +396,11 @@ async fn what_cannot_be_analysed_is_refused_before_there_is_a_job() {
         (analysis(json!({"kind": "exponent_map"})), at.to_owned(), "4 event(s), at least 20"),
         (analysis(json!({"kind": "source_model"})), at.to_owned(), "sensitivity_v_per_pa is not known"),
         (analysis(json!({"kind": "amplitude_distribution", "xmin": -1})), format!("{at}/xmin"), "above 0"),
-        (analysis(json!({"kind": "amplitude_distribution", "xmin": 5})), at.to_owned(), "from xmin to xmax: 0 event(s)"),
+        (
+            analysis(json!({"kind": "amplitude_distribution", "xmin": 5})),
+            at.to_owned(),
+            "from xmin to xmax: 0 event(s)",
+        ),
         (analysis(json!({"kind": "amplitude_distribution", "model": "gauss"})), format!("{at}/model"), "lognormal"),
         (analysis(json!({"kind": "wavelets"})), format!("{at}/kind"), "phase_comparison"),
         (json!({"dataset": dataset["id"], "analyses": []}), "/inputs/analyses".into(), ""),

@@ -42,7 +42,7 @@ async fn a_client_of_the_standard_finds_its_way() {
         classes["conformsTo"].as_array().unwrap().iter().any(|class| class.as_str().unwrap().ends_with("conf/core"))
     );
     let list = app.read("/v1/processes").await;
-    assert_eq!(list["processes"].as_array().unwrap().len(), 7);
+    assert_eq!(list["processes"].as_array().unwrap().len(), 8);
     assert_json_snapshot!(list["processes"][1], {".version" => "[version]"}, @r#"
     {
       "id": "train-model",

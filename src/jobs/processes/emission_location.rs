@@ -116,10 +116,8 @@ pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output,
     };
     let source = Source { format: "located".into(), bytes: 0, sha256: head.sha256.clone() };
     let notes = vec![format!("events of the hits of data set {} ({})", inputs.dataset, head.name)];
-    let description = dataset::Description {
-        location: Some(origin),
-        ..dataset::Description::of(&events, Vec::new(), notes, source)
-    };
+    let description =
+        dataset::Description { location: Some(origin), ..dataset::Description::of(&events, Vec::new(), notes, source) };
     let name = inputs.name.map_or_else(|| named(&head.name), Ok).map_err(science)?;
     // events of synthetic hits are synthetic too
     let truth = truths.into_iter().next().flatten();

@@ -232,9 +232,8 @@ impl<'a> Fit<'a> {
 
     /// Variance of the slope by the scatter about the line, which is not independent from radius to radius.
     fn misfit(&self) -> f64 {
-        let residuals: Vec<f64> = (self.log_r.iter().zip(&self.log_c))
-            .map(|(x, y)| y - self.line.intercept - self.line.slope * x)
-            .collect();
+        let residuals: Vec<f64> =
+            (self.log_r.iter().zip(&self.log_c)).map(|(x, y)| y - self.line.intercept - self.line.slope * x).collect();
         let squares: f64 = residuals.iter().map(|r| r * r).sum();
         let products: f64 = residuals.windows(2).map(|pair| pair[0] * pair[1]).sum();
         let correlation = if squares > 0.0 { (products / squares).clamp(0.0, 0.9) } else { 0.0 };

@@ -185,12 +185,7 @@ impl Column {
             Self::XSeM | Self::YSeM | Self::ZSeM | Self::ResidualUs => {
                 ("a finite number of at least 0, or none", |x| x.is_nan() || (x.is_finite() && x >= 0.0))
             }
-            Self::DurationUs
-            | Self::RiseTimeUs
-            | Self::Counts
-            | Self::EnergyEu
-            | Self::Channel
-            | Self::Channels => {
+            Self::DurationUs | Self::RiseTimeUs | Self::Counts | Self::EnergyEu | Self::Channel | Self::Channels => {
                 ("a finite number of at least 0", |x| x.is_finite() && x >= 0.0)
             }
             Self::Phase => ("0 (loading) or 1 (unloading)", |x| x == 0.0 || x == 1.0),

@@ -48,9 +48,8 @@ fn centres_keep_away_from_the_border() {
     let radii = [0.05, 0.1, 0.2];
     let found = Blocks::new(&points).interior(&radii, &border, &Unobserved).unwrap();
     for (k, &r) in radii.iter().enumerate() {
-        let near = |i: usize, j: usize| {
-            i != j && (0..3).map(|k| (points[i][k] - points[j][k]).powi(2)).sum::<f64>() <= r * r
-        };
+        let near =
+            |i: usize, j: usize| i != j && (0..3).map(|k| (points[i][k] - points[j][k]).powi(2)).sum::<f64>() <= r * r;
         let of = |i: usize| (0..500).filter(|&j| near(i, j)).count() as u64;
         let centres: Vec<usize> = (0..500).filter(|&i| border[i] * border[i] >= r * r).collect();
         assert_eq!(found.centres[k], centres.len() as u64);
@@ -138,7 +137,10 @@ fn standard_errors_of_the_dimension_are_honest() {
         let [bias, spread, stated, within, covered] = found;
         assert!(within >= 0.9 && bias.abs() < 0.05, "{events} {truth}: {found:?}");
         // 95 % of 60, give or take 2.8 %; a stated error may be too large by half, bias and spread together
-        assert!(covered >= 0.88 && stated < 1.6 * (spread.powi(2) + bias.powi(2)).sqrt(), "{events} {truth}: {found:?}");
+        assert!(
+            covered >= 0.88 && stated < 1.6 * (spread.powi(2) + bias.powi(2)).sqrt(),
+            "{events} {truth}: {found:?}"
+        );
     }
 }
 

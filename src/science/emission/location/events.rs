@@ -336,8 +336,11 @@ fn assemble(
     kept: &[Option<Location>],
     dimensions: usize,
 ) -> Result<Catalogue, EmissionError> {
-    let times: Vec<f64> =
-        kept.iter().zip(first_times).map(|(location, first)| location.as_ref().map_or(*first, |l| l.origin_s)).collect();
+    let times: Vec<f64> = kept
+        .iter()
+        .zip(first_times)
+        .map(|(location, first)| location.as_ref().map_or(*first, |l| l.origin_s))
+        .collect();
     let mut order: Vec<usize> = (0..times.len()).collect();
     order.sort_by(|&a, &b| times[a].total_cmp(&times[b]));
     let mut columns: BTreeMap<Column, Vec<f64>> = BTreeMap::new();
