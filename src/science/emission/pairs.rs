@@ -142,12 +142,14 @@ impl Blocks {
         progress: &dyn Progress,
     ) -> Result<Interior, EmissionError> {
         let sets = self.places.len().min(SETS);
-        let border: Vec<f64> = self.places.iter().map(|&place| border[place] * border[place]).collect();
         let squares: Vec<f64> = radii.iter().map(|r| r * r).collect();
+        // radii for which a point is a centre: the first so many
+        let radii_inside = |&place: &usize| squares.partition_point(|&square| square <= border[place] * border[place]);
+        let inner: Vec<usize> = self.places.iter().map(radii_inside).collect();
         let done = AtomicUsize::new(0);
         let one = |mut found: Vec<u64>, first: usize| {
             self.step(&done, "counting neighbours", progress)?;
-            self.neighbours(first, &border, &squares, sets, &mut found);
+            self.neighbours(first, &inner, &squares, sets, &mut found);
             Ok(found)
         };
         // centres of each set, pairs of its centres, pairs of its points with centres: a number a radius
@@ -172,29 +174,40 @@ impl Blocks {
     }
 
     /// Adds what the points of the block `first` have to what [`Blocks::interior`] sums.
-    fn neighbours(&self, first: usize, border: &[f64], squares: &[f64], sets: usize, found: &mut [u64]) {
+    fn neighbours(&self, first: usize, inner: &[usize], squares: &[f64], sets: usize, found: &mut [u64]) {
         let Some(&largest) = squares.last() else { return };
-        let a = &self.blocks[first];
+        let (a, radii) = (&self.blocks[first], squares.len());
+        let near: Vec<&Block> = self.blocks.iter().filter(|b| between(a, b).0 <= largest).collect();
         let mut buffer = [0.0; BLOCK];
-        for b in &self.blocks {
-            let (near, _) = between(a, b);
-            if near > largest {
-                continue;
-            }
-            let begin = squares.partition_point(|&square| square < near);
-            let buffer = &mut buffer[..b.range.len()];
-            for i in a.range.clone() {
+        for i in a.range.clone() {
+            // how many more are within each radius than within the one before, and of them those that are centres
+            let (mut all, mut centres) = (vec![0_i64; radii + 1], vec![0_i64; radii + 1]);
+            for b in &near {
+                let buffer = &mut buffer[..b.range.len()];
                 squared_distances(self.points(i..i + 1), self.points(b.range.clone()), buffer);
-                let set = self.places[i] % sets;
-                let itself = u64::from(b.range.contains(&i));
-                for (k, &square) in squares.iter().enumerate().skip(begin) {
-                    let is_centre = border[i] >= square;
-                    let at = |part: usize| (part * sets + set) * squares.len() + k;
-                    found[at(0)] += if is_centre { itself } else { 0 };
-                    found[at(1)] += if is_centre { at_most(buffer, square) - itself } else { 0 };
-                    let centres = centres_at_most(buffer, &border[b.range.clone()], square);
-                    found[at(2)] += centres - if is_centre { itself } else { 0 };
+                for (j, &square) in b.range.clone().zip(buffer.iter()) {
+                    if square <= largest && i != j {
+                        let from = squares.partition_point(|&limit| limit < square);
+                        all[from] += 1;
+                        if from < inner[j] {
+                            centres[from] += 1;
+                            centres[inner[j]] -= 1;
+                        }
+                    }
                 }
+            }
+            let set = self.places[i] % sets;
+            let (mut within, mut within_centres) = (0, 0);
+            for k in 0..radii {
+                within += all[k];
+                within_centres += centres[k];
+                let at = |part: usize| (part * sets + set) * radii + k;
+                if k < inner[i] {
+                    found[at(0)] += 1;
+                    found[at(1)] += within.unsigned_abs();
+                }
+                // every step down follows its step up
+                found[at(2)] += within_centres.unsigned_abs();
             }
         }
     }
@@ -259,10 +272,4 @@ fn squared_distances(a: [&[f64]; 3], [x, y, z]: [&[f64]; 3], squares: &mut [f64]
 #[multiversion(targets = "simd")]
 fn at_most(squares: &[f64], limit: f64) -> u64 {
     squares.iter().map(|&square| u64::from(square <= limit)).sum()
-}
-
-/// How many of the `squares` are at most `limit` and belong to points that are no nearer to the border.
-#[multiversion(targets = "simd")]
-fn centres_at_most(squares: &[f64], border: &[f64], limit: f64) -> u64 {
-    squares.iter().zip(border).map(|(&square, &border)| u64::from(square <= limit && border >= limit)).sum()
 }

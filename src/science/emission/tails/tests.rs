@@ -239,7 +239,8 @@ fn a_pure_power_law_on_a_polycrystal_is_biased_as_the_integrals_say() {
     // for such data holds from 1 mV on, not from 3 mV
     for (xmin, expected) in [(0.001, 1.6254696879042967), (0.003, 1.7573140542377925)] {
         let tail = Tail::exact(&cutoff_sample(100_000, 1.35, 0.1, xmin, 77), xmin, None).unwrap();
-        let alpha = *fit(&tail, Model::PowerLaw).unwrap().parameter("alpha").unwrap();
+        let fitted = fit(&tail, Model::PowerLaw).unwrap();
+        let alpha = fitted.parameter("alpha").unwrap();
         close(alpha.value, expected, 4.0 * alpha.se.unwrap());
     }
 }
