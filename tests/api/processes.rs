@@ -42,7 +42,7 @@ async fn a_client_of_the_standard_finds_its_way() {
         classes["conformsTo"].as_array().unwrap().iter().any(|class| class.as_str().unwrap().ends_with("conf/core"))
     );
     let list = app.read("/v1/processes").await;
-    assert_eq!(list["processes"].as_array().unwrap().len(), 9);
+    assert_eq!(list["processes"].as_array().unwrap().len(), 10);
     assert_json_snapshot!(list["processes"][1], {".version" => "[version]"}, @r#"
     {
       "id": "train-model",
@@ -182,7 +182,7 @@ async fn a_process_that_is_not_there_is_refused_in_the_words_of_the_standard() {
       "type": "http://www.opengis.net/def/exceptions/ogcapi-processes-1/1.0/no-such-process",
       "title": "No such process",
       "status": 404,
-      "detail": "there is no process nothing; there are: echo, train-model, select-features, evaluate-transfer, retrain-model, runout, emission-analysis, emission-comparison, emission-synthetic",
+      "detail": "there is no process nothing; there are: echo, train-model, select-features, evaluate-transfer, retrain-model, runout, emission-analysis, emission-comparison, emission-location, emission-synthetic",
       "code": "no-such-process",
       "traceId": "[id]"
     }

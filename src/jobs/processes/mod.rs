@@ -4,6 +4,7 @@ pub mod echo;
 mod emission;
 pub mod emission_analysis;
 pub mod emission_comparison;
+pub mod emission_location;
 pub mod emission_synthetic;
 pub mod evaluate_transfer;
 pub mod retrain_model;
@@ -54,6 +55,8 @@ pub enum Process {
     EmissionAnalysis,
     /// Compares several data sets of acoustic emission.
     EmissionComparison,
+    /// Groups the hits of a data set into events and locates them.
+    EmissionLocation,
     /// Makes a data set of acoustic emission with known truth.
     EmissionSynthetic,
 }
@@ -95,7 +98,7 @@ pub struct Description {
 
 impl Process {
     /// Every process.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Echo,
         Self::TrainModel,
         Self::SelectFeatures,
@@ -104,6 +107,7 @@ impl Process {
         Self::Runout,
         Self::EmissionAnalysis,
         Self::EmissionComparison,
+        Self::EmissionLocation,
         Self::EmissionSynthetic,
     ];
 
@@ -119,6 +123,7 @@ impl Process {
             Self::Runout => runout::ID,
             Self::EmissionAnalysis => emission_analysis::ID,
             Self::EmissionComparison => emission_comparison::ID,
+            Self::EmissionLocation => emission_location::ID,
             Self::EmissionSynthetic => emission_synthetic::ID,
         }
     }
@@ -141,6 +146,7 @@ impl Process {
             Self::Runout => runout::description(),
             Self::EmissionAnalysis => emission_analysis::description(),
             Self::EmissionComparison => emission_comparison::description(),
+            Self::EmissionLocation => emission_location::description(),
             Self::EmissionSynthetic => emission_synthetic::description(),
         }
     }
@@ -148,8 +154,8 @@ impl Process {
     /// Whether the same inputs always give the same results, so that they need not be computed twice.
     #[must_use]
     pub const fn is_pure(self) -> bool {
-        // each run of the generator gives a data set of its own, which its owner may remove
-        !matches!(self, Self::Echo | Self::EmissionSynthetic)
+        // each run that makes a data set gives one of its own, which its owner may remove
+        !matches!(self, Self::Echo | Self::EmissionLocation | Self::EmissionSynthetic)
     }
 
     /// Checks inputs as far as that can be done without computing.
@@ -166,6 +172,7 @@ impl Process {
             Self::Runout => runout::accept(inputs, shelf.runout_memory_bytes),
             Self::EmissionAnalysis => emission_analysis::accept(shelf, inputs).await,
             Self::EmissionComparison => emission_comparison::accept(shelf, inputs).await,
+            Self::EmissionLocation => emission_location::accept(shelf, inputs).await,
             Self::EmissionSynthetic => emission_synthetic::accept(inputs),
         }
     }
@@ -192,6 +199,7 @@ impl Process {
             Self::Runout => runout::payload(job, shelf.runout_memory_bytes),
             Self::EmissionAnalysis => emission_analysis::payload(shelf, job).await,
             Self::EmissionComparison => emission_comparison::payload(shelf, job).await,
+            Self::EmissionLocation => emission_location::payload(shelf, job).await,
             Self::EmissionSynthetic => emission_synthetic::payload(job),
         }?;
         Ok(Payload { bytes, input_hash: job.input_hash.clone() })
@@ -211,6 +219,7 @@ impl Process {
             Self::Runout => runout::compute(payload, progress),
             Self::EmissionAnalysis => emission_analysis::compute(payload, progress),
             Self::EmissionComparison => emission_comparison::compute(payload, progress),
+            Self::EmissionLocation => emission_location::compute(payload, progress),
             Self::EmissionSynthetic => emission_synthetic::compute(payload, progress),
         }
     }
@@ -221,7 +230,7 @@ impl Process {
     /// Where it is not what [`Process::compute`] gives.
     pub fn kept(self, job: &Job, keep: &Value, now: Timestamp) -> Result<Kept, serde_json::Error> {
         match self {
-            Self::EmissionSynthetic => emission_synthetic::kept(job, keep, now).map(Kept::Dataset),
+            Self::EmissionLocation | Self::EmissionSynthetic => emission::kept(job, keep, now).map(Kept::Dataset),
             Self::SelectFeatures => {
                 select_features::kept(job.id, keep).map(|selection| Kept::Selection(Box::new(selection)))
             }
