@@ -108,6 +108,9 @@ def before_call(ctx, case, kwargs):
         del case.query["format"]
     if not case.meta or not case.meta.generation.mode.is_positive:
         return
+    if case.operation.definition.raw["operationId"] == "put_region" and isinstance(case.body, dict) and case.body.get("stations"):
+        # no schema knows which stations exist
+        case.body["stations"] = ["lochaber"]
     for parameter in case.operation.definition.raw.get("parameters", []):
         value = (case.headers or {}).get(parameter["name"]) if parameter["in"] == "header" else None
         pattern = parameter["schema"].get("pattern")
