@@ -229,7 +229,7 @@ impl Default for BedInputs {
 pub struct TransferInputs {
     /// Share of FLIP, dimensionless, from 0 to 1. With 0, affine particle in cell (APIC), particles have the velocity of the
     /// grid; with FLIP they keep this share of what the grid could not take of their own, which dissipates less and is noisy.
-    /// They move with the grid and give its velocity gradient in either case. About half as fast as APIC.
+    /// They move with the grid and give its velocity gradient in either case.
     #[cfg_attr(feature = "schema", schema(minimum = 0, maximum = 1, default = 0.0))]
     pub flip: f64,
 }

@@ -315,8 +315,8 @@ fn add_column<T: Real>(nodes: &mut [[T; 4]], base: u32, rows: [T::V; 3], level: 
 #[inline(always)]
 fn give_back<T: Real>(flip: &Flip<T>, motion: &mut Motion<T>) {
     for k in 0..BLOCK {
-        motion.vx[k] = motion.vx[k] + flip.rx[k];
-        motion.vz[k] = motion.vz[k] + flip.rz[k];
+        motion.vx[k] += flip.rx[k];
+        motion.vz[k] += flip.rz[k];
     }
 }
 
