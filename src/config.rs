@@ -11,7 +11,7 @@ use std::{
 use clap::Args;
 use serde::Deserialize;
 
-use crate::jobs::artifacts::ArtifactAddress;
+use crate::{formats::caaml::Provider, jobs::artifacts::ArtifactAddress};
 
 /// What a lease may be, s.
 const LEASES_S: RangeInclusive<u64> = 1..=3600;
@@ -76,6 +76,12 @@ pub struct Settings {
     /// [default: 2048]
     #[arg(long, env = "FIRN_RUNOUT_MEMORY_MIB", value_name = "MIB")]
     pub runout_memory_mib: Option<u64>,
+    /// Name of the warning service, which bulletins give as their source [default: firn]
+    #[arg(long, env = "FIRN_PROVIDER_NAME", value_name = "NAME")]
+    pub provider_name: Option<String>,
+    /// Its address in the web, for bulletins
+    #[arg(long, env = "FIRN_PROVIDER_WEBSITE", value_name = "URL", value_parser = website)]
+    pub provider_website: Option<String>,
     /// Days that ended jobs are kept [default: 90]
     #[arg(long, env = "FIRN_KEEP_JOBS_DAYS", value_name = "DAYS")]
     pub keep_jobs_days: Option<u32>,
@@ -95,6 +101,15 @@ pub struct Settings {
     /// What to log, as `level` or `target=level,...` [default: info]
     #[arg(long, env = "FIRN_LOG", value_name = "FILTER")]
     pub log: Option<String>,
+}
+
+/// An address in the web as it may stand in a bulletin.
+fn website(text: &str) -> Result<String, &'static str> {
+    let rest = text.strip_prefix("https://").or_else(|| text.strip_prefix("http://"));
+    match rest {
+        Some(rest) if !rest.is_empty() && rest.bytes().all(|letter| letter.is_ascii_graphic()) => Ok(text.to_owned()),
+        _ => Err("must be an address that begins with http:// or https://"),
+    }
 }
 
 /// What carries jobs to workers.
@@ -188,6 +203,8 @@ pub struct Config {
     pub stall: Duration,
     /// Bytes that the particles and the grid of a run-out simulation may take.
     pub runout_memory_bytes: u64,
+    /// Who answers for bulletins.
+    pub provider: Provider,
     /// Days that ended jobs are kept.
     pub keep_jobs_days: u32,
     /// Bytes that ended jobs may need before the oldest go.
@@ -238,6 +255,9 @@ impl Settings {
 
     /// What the command line refuses by itself.
     fn check_bounds(&self) -> Result<(), String> {
+        if let Some(website) = &self.provider_website {
+            self::website(website).map_err(|rule| format!("provider_website {rule}, not {website}"))?;
+        }
         let bounds = [("lease_s", self.lease_s, LEASES_S), ("stall_s", self.stall_s, STALLS_S)];
         for (name, value, accepted) in bounds {
             if let Some(value) = value.filter(|value| !accepted.contains(value)) {
@@ -282,6 +302,10 @@ impl Settings {
                 .or(file.runout_memory_mib)
                 .unwrap_or(2048)
                 .saturating_mul(1024 * 1024),
+            provider: Provider {
+                name: self.provider_name.or(file.provider_name).unwrap_or_else(|| "firn".into()),
+                website: self.provider_website.or(file.provider_website),
+            },
             keep_jobs_days: self.keep_jobs_days.or(file.keep_jobs_days).unwrap_or(90),
             keep_jobs_bytes: self.keep_jobs_mib.or(file.keep_jobs_mib).unwrap_or(20 * 1024).saturating_mul(1024 * 1024),
             shutdown_timeout: Duration::from_secs(self.shutdown_timeout_s.or(file.shutdown_timeout_s).unwrap_or(20)),
@@ -310,9 +334,12 @@ mod tests {
     fn a_file_is_held_to_the_same_bounds_as_the_command_line() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("firn.toml");
-        for (text, name) in
-            [("stall_s = 0", "stall_s"), ("lease_s = 4000", "lease_s"), ("max_body_mib = 0", "max_body_mib")]
-        {
+        for (text, name) in [
+            ("stall_s = 0", "stall_s"),
+            ("lease_s = 4000", "lease_s"),
+            ("max_body_mib = 0", "max_body_mib"),
+            ("provider_website = 'avalanche.report'", "provider_website"),
+        ] {
             std::fs::write(&path, text).unwrap();
             let refusal = Settings::from_file(&path).unwrap_err().to_string();
             assert!(refusal.contains(name) && refusal.contains("firn.toml"), "{refusal}");

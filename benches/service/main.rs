@@ -12,7 +12,11 @@ use std::{
 
 use firn::{
     config::{Config, Settings},
-    domain::{avalanche::AvalancheRecord, ids::StationId, observation::Observation},
+    domain::{
+        avalanche::AvalancheRecord,
+        ids::{Place, StationId},
+        observation::Observation,
+    },
     formats::observations_csv,
     science::forecast::{
         day::{DayRecord, season_of},
@@ -43,11 +47,19 @@ async fn main() -> Outcome<()> {
     let service = Service::start(Settings { data_dir: Some(folder.path().into()), ..Settings::default() }).await?;
     println!("{} compute threads\n", service.threads);
 
-    import(&service, &archive).await?;
-    train(&service).await?;
-    let store = service.store.clone();
-    forecast(&service, &store).await?;
-    season(&service, &store).await?;
+    let parts: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect();
+    let wanted = |part: &str| parts.is_empty() || parts.iter().any(|name| name == part);
+    if wanted("archive") {
+        import(&service, &archive).await?;
+        train(&service).await?;
+        let store = service.store.clone();
+        forecast(&service, &store).await?;
+        what_if(&service).await?;
+        season(&service, &store).await?;
+    }
+    if wanted("fleet") {
+        fleet(&service).await?;
+    }
     service.stop.cancel();
     Ok(())
 }
@@ -182,18 +194,27 @@ async fn import(service: &Service, archive: &Archive) -> Outcome<()> {
     Ok(())
 }
 
-async fn train(service: &Service) -> Outcome<()> {
-    let inputs = json!({"inputs": {"station": "lochaber0", "label": "observed", "lead": 0}});
-    let job = json_of(service.post("/v1/processes/train-model/execution").json(&inputs)).await?;
-    let path = format!("/v1/jobs/{}", job["jobID"].as_str().unwrap_or_default());
-    let ended = loop {
-        let job = json_of(service.get(&path)).await?;
+/// Submits a training and gives the address of its job.
+async fn submit(service: &Service, inputs: &Value) -> Outcome<String> {
+    let job = json_of(service.post("/v1/processes/train-model/execution").json(&json!({"inputs": inputs}))).await?;
+    Ok(format!("/v1/jobs/{}", job["jobID"].as_str().unwrap_or_default()))
+}
+
+/// The status document of a job that has ended well.
+async fn ended(service: &Service, path: &str) -> Outcome<Value> {
+    loop {
+        let job = json_of(service.get(path)).await?;
         match job["status"].as_str() {
             Some("accepted" | "running") => tokio::time::sleep(Duration::from_millis(100)).await,
-            Some("successful") => break job,
+            Some("successful") => return Ok(job),
             _ => return Err(job.to_string().into()),
         }
-    };
+    }
+}
+
+async fn train(service: &Service) -> Outcome<()> {
+    let path = submit(service, &json!({"station": "lochaber0", "label": "observed", "lead": 0})).await?;
+    let ended = ended(service, &path).await?;
     let stamp = |name: &str| ended[name].as_str().unwrap_or_default().parse::<Timestamp>();
     let seconds = stamp("finished")?.duration_since(stamp("started")?).as_secs_f64();
     report("training with grid search and evaluation", &[seconds * 1e3], Some(60_000.0));
@@ -216,7 +237,7 @@ async fn forecast(service: &Service, store: &Store) -> Outcome<()> {
     let http = timed(CALLS, |number| async move { answer(service.get(&similar(number))).await.map(drop) }).await?;
     report("similar days over HTTP", &http, None);
 
-    let active = store.active_model(&station, 0).await?.ok_or("no active model")?;
+    let active = store.active_model(&Place::Station(station.clone()), 0).await?.ok_or("no active model")?;
     let model = store.trained_model(active.model).await?.ok_or("no model")?;
     let (model, season) = (&model, &season);
     let inside = timed(CALLS, |number| async move {
@@ -225,6 +246,70 @@ async fn forecast(service: &Service, store: &Store) -> Outcome<()> {
     })
     .await?;
     report("a forecast inside, model and days in memory", &inside, None);
+    Ok(())
+}
+
+/// One question a day of the newest winter: two variables changed, and the response to a third at 25 points.
+async fn what_if(service: &Service) -> Outcome<()> {
+    let list = json_of(service.get("/v1/stations/lochaber0/forecasts")).await?;
+    let dates: Vec<&str> =
+        list["forecasts"].as_array().into_iter().flatten().filter_map(|day| day["date"].as_str()).collect();
+    if dates.is_empty() {
+        return Err("no forecasts".into());
+    }
+    let dates = &dates;
+    let ask = |number: usize| {
+        let changes = json!([{"values": {"air_temperature": 2.5, "snow_drift": true}}]);
+        let response = json!({"variable": "wind_speed", "from": 0, "to": 30});
+        let question = json!({"date": dates[number % dates.len()], "changes": changes, "response": response});
+        service.post("/v1/stations/lochaber0/forecasts/what-if").json(&question)
+    };
+    let http = timed(CALLS, |number| async move { answer(ask(number)).await.map(drop) }).await?;
+    report("a what-if with a response of 25 points", &http, Some(20.0));
+    Ok(())
+}
+
+/// Many stations: 100,000 observations in, and the forecast of all of them in one answer.
+async fn fleet(service: &Service) -> Outcome<()> {
+    const STATIONS: u16 = 50;
+    const DAYS: usize = 2000;
+    let mut bodies = Vec::new();
+    for station in 0..STATIONS {
+        let days = synthetic_station(u64::from(station), 2000, 20);
+        let dated = |day: &DayRecord| {
+            let record = AvalancheRecord::of(day.activity);
+            Observation::from_values(&day.values, Some(&record)).map(|observation| observation.on(day.date))
+        };
+        let rows = days.iter().take(DAYS).map(dated).collect::<Result<Vec<_>, _>>()?;
+        if rows.len() != DAYS {
+            return Err(format!("{} days", rows.len()).into());
+        }
+        bodies.push((format!("fleet{station}"), observations_csv::write(rows)));
+        service.station(&format!("fleet{station}")).await?;
+    }
+    let since = Instant::now();
+    for (station, body) in &bodies {
+        let path = format!("/v1/stations/{station}/observations");
+        answer(service.post(&path).header("content-type", "text/csv").body(body.clone())).await?;
+    }
+    let import_ms = since.elapsed().as_secs_f64() * 1e3;
+    report("100,000 observations of 50 stations, CSV", &[import_ms], Some(20_000.0));
+
+    let mut jobs = Vec::new();
+    for (station, _) in &bodies {
+        // five winters: what is timed is the forecast
+        let inputs = json!({"station": station, "label": "observed", "lead": 0, "to": "2005-06-30"});
+        jobs.push(submit(service, &inputs).await?);
+    }
+    for job in &jobs {
+        ended(service, job).await?;
+    }
+    let path = |number: usize| format!("/v1/forecasts?date=2011-02-{:02}", 1 + number % 28);
+    let all = json_of(service.get(&path(0))).await?;
+    let forecasts = all["forecasts"].as_array().into_iter().flatten();
+    let there = forecasts.filter(|station| station["forecast"].is_object()).count();
+    let http = timed(CALLS, |number| async move { answer(service.get(&path(number))).await.map(drop) }).await?;
+    report(&format!("the forecasts of {there} stations in one answer"), &http, Some(100.0));
     Ok(())
 }
 

@@ -165,7 +165,7 @@ pub async fn put_avalanches(
     }
     let station = state.station(&path.station).await?;
     let author = Author { name: caller.name, at: clock::now(), source: "put" };
-    let write = DayWrite { date: path.date.0, values: None, avalanche: Some(record) };
+    let write = DayWrite { date: path.date.0, values: None, forecast: false, avalanche: Some(record) };
     let mut known = false;
     let permits = |before: Option<&StoredDay>| {
         let before = before.and_then(tag);

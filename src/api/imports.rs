@@ -212,17 +212,18 @@ pub async fn import_observations(
     }
     let station = state.station(&path.station).await?;
     let zone = station.body.timezone.clone();
+    let today = clock::today(&station.zone());
     // megabytes are read on a thread of their own: the server goes on answering meanwhile
     let read = tokio::task::spawn_blocking(move || match (media, query.format) {
-        (MediaType::Json, _) => from_json(&bytes),
-        (MediaType::Ndjson, _) => from_ndjson(&bytes),
-        (MediaType::Smet, _) => from_file("smet", smet::read(&bytes)),
+        (MediaType::Json, _) => from_json(&bytes, today),
+        (MediaType::Ndjson, _) => from_ndjson(&bytes, today),
+        (MediaType::Smet, _) => from_file("smet", smet::read(&bytes), today),
         (MediaType::Csv, None) => match mapping {
-            Some(mapping) => from_file("csv", mapped_csv::read(&bytes, &mapping)),
-            None => from_file("csv", observations_csv::read(&bytes)),
+            Some(mapping) => from_file("csv", mapped_csv::read(&bytes, &mapping), today),
+            None => from_file("csv", observations_csv::read(&bytes), today),
         },
         (MediaType::Csv, Some(Format::Sais)) => {
-            from_sais(&bytes, zone.as_ref(), query.area.as_ref().map(|area| area.0.as_str()))
+            from_sais(&bytes, zone.as_ref(), query.area.as_ref().map(|area| area.0.as_str()), today)
         }
     });
     let rows = read.await.map_err(Problem::internal)??;
@@ -263,12 +264,12 @@ pub enum DayOrDays {
     Many(Vec<DatedObservation>),
 }
 
-fn from_json(bytes: &[u8]) -> Result<Rows, Problem> {
+fn from_json(bytes: &[u8], today: civil::Date) -> Result<Rows, Problem> {
     let (one, rows) = match json::days(bytes) {
-        Ok(JsonDays::One(day)) => (true, vec![json_row(1, &day, "")]),
+        Ok(JsonDays::One(day)) => (true, vec![json_row(1, &day, "", today)]),
         Ok(JsonDays::Many(days)) => {
             let rows = (1..).zip(&days).zip(0_usize..);
-            (false, rows.map(|((line, day), at)| json_row(line, day, &format!("/{at}"))).collect())
+            (false, rows.map(|((line, day), at)| json_row(line, day, &format!("/{at}"), today)).collect())
         }
         Ok(JsonDays::TooMany) => return Err(too_many_rows()),
         Err(error) if error.is_data() => {
@@ -283,25 +284,31 @@ fn from_json(bytes: &[u8]) -> Result<Rows, Problem> {
     Ok(Rows { format: "json", one, rows, ..Rows::default() })
 }
 
-fn json_row(line: u64, value: &Value, prefix: &str) -> Row {
+fn json_row(line: u64, value: &Value, prefix: &str, today: civil::Date) -> Row {
     let date = value.get("date").and_then(Value::as_str).and_then(|text| text.parse::<Date>().ok()).map(|date| date.0);
-    Row { line, date, outcome: schema::read(value, prefix).and_then(|day| checked(day, prefix)) }
+    Row { line, date, outcome: schema::read(value, prefix).and_then(|day| checked(day, prefix, today)) }
 }
 
-fn checked(day: DatedObservation, prefix: &str) -> Result<(DayWrite, Vec<Flag>), Vec<FieldError>> {
+fn checked(day: DatedObservation, prefix: &str, today: civil::Date) -> Result<(DayWrite, Vec<Flag>), Vec<FieldError>> {
     let (date, day) = day.split();
-    let faults = contradictions(&day.contradictions(), prefix);
-    if !faults.is_empty() {
-        return Err(faults);
+    let mut faults = contradictions(&day.contradictions(), prefix);
+    let kind = day.is_forecast(date, today);
+    if let Err(fault) = kind {
+        faults.push(FieldError::new(format!("{prefix}/forecast"), "contradiction", fault.to_string()));
     }
-    Ok((DayWrite { date, values: Some(day.values()), avalanche: day.avalanche() }, Vec::new()))
+    match kind {
+        Ok(forecast) if faults.is_empty() => {
+            Ok((DayWrite { date, values: Some(day.values()), forecast, avalanche: day.avalanche() }, Vec::new()))
+        }
+        _ => Err(faults),
+    }
 }
 
 fn too_many_rows() -> Problem {
     Problem::new(Code::PayloadTooLarge, format!("an import takes {MAX_ROWS} rows at most; send several"))
 }
 
-fn from_ndjson(bytes: &[u8]) -> Result<Rows, Problem> {
+fn from_ndjson(bytes: &[u8], today: civil::Date) -> Result<Rows, Problem> {
     if ndjson::lines(bytes).nth(MAX_ROWS).is_some() {
         return Err(too_many_rows());
     }
@@ -312,7 +319,7 @@ fn from_ndjson(bytes: &[u8]) -> Result<Rows, Problem> {
         match day {
             Ok(day) if reader.end().is_ok() => {
                 let (date, _) = day.split();
-                Row { line: line.line, date: Some(date), outcome: checked(day, &prefix) }
+                Row { line: line.line, date: Some(date), outcome: checked(day, &prefix, today) }
             }
             Ok(_) => {
                 let fault = FieldError::new(prefix, "invalid_json", "must be one JSON object a line");
@@ -350,15 +357,19 @@ fn without_repeats(mut rows: Vec<Row>, pointer: impl Fn(&Row) -> String) -> Vec<
     rows
 }
 
-fn from_sais(bytes: &[u8], zone: Option<&ZoneName>, area: Option<&str>) -> Result<Rows, Problem> {
+fn from_sais(bytes: &[u8], zone: Option<&ZoneName>, area: Option<&str>, today: civil::Date) -> Result<Rows, Problem> {
     // the service writes local midnight as UTC, so its own zone is the default and not UTC
     let zone = zone.map_or(sais::DEFAULT_ZONE, ZoneName::as_str);
-    from_file("sais", sais::read(bytes, zone, area))
+    from_file("sais", sais::read(bytes, zone, area), today)
 }
 
-fn from_file(format: &'static str, import: Result<Import, FormatError>) -> Result<Rows, Problem> {
-    let import = import.map_err(|error| malformed(&error))?;
-    let rows = import.rows.into_iter().map(file_row).collect();
+fn from_file(format: &'static str, import: Result<Import, FormatError>, today: civil::Date) -> Result<Rows, Problem> {
+    let mut import = import.map_err(|error| malformed(&error))?;
+    let rows: Vec<Row> = import.rows.into_iter().map(|row| file_row(row, today)).collect();
+    let to_come = rows.iter().filter(|row| row.outcome.as_ref().is_ok_and(|(day, _)| day.forecast)).count();
+    if to_come > 0 {
+        import.notes.push(format!("{to_come} day(s) are still to come: their weather is kept as a forecast"));
+    }
     Ok(Rows {
         format,
         rows,
@@ -370,9 +381,12 @@ fn from_file(format: &'static str, import: Result<Import, FormatError>) -> Resul
     })
 }
 
-fn file_row(row: ImportedRow) -> Row {
+fn file_row(row: ImportedRow, today: civil::Date) -> Row {
     let outcome = match (row.outcome, row.date) {
-        (Ok(day), Some(date)) => Ok((DayWrite { date, values: Some(day.values), avalanche: day.avalanche }, day.flags)),
+        (Ok(day), Some(date)) => {
+            let (values, forecast) = (Some(day.values), date > today);
+            Ok((DayWrite { date, values, forecast, avalanche: day.avalanche }, day.flags))
+        }
         (Ok(_), None) => Err(vec![FieldError::new(format!("/{}/date", row.line), "unreadable_date", "has no date")]),
         (Err(error), _) => {
             let field = error.field.as_deref().map_or_else(String::new, |field| format!("/{field}"));

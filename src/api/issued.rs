@@ -12,7 +12,7 @@ use super::{
     auth::Caller,
     avalanches::DayPath,
     extract::{Conditions, Date, JsonBody, Path, Query},
-    forecasts::{ForecastResource, Lead, Speaker},
+    forecasts::{ForecastResource, Lead, Speaker, Weather, model_lead},
     models::LeadQuery,
     problem::ApiResult,
     respond,
@@ -24,7 +24,7 @@ use crate::{
         problem::{Code, FieldError, Problem},
         station::Station,
     },
-    science::forecast::model::Category,
+    science::forecast::model::{Category, SimilarDay},
     store::{
         StoreError,
         issued::{ForecasterCall, IssuedForecast},
@@ -32,10 +32,13 @@ use crate::{
     },
 };
 
+/// Similar days that are frozen with a forecast.
+const KEPT_SIMILAR_DAYS: usize = 10;
+
 /// Longest note of a call, characters.
 const LONGEST_NOTE: usize = 2000;
 
-/// Which forecast to issue.
+/// Which of the forecasts of a day.
 #[derive(Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
@@ -44,6 +47,11 @@ pub struct IssueQuery {
     #[serde(default)]
     #[param(value_type = Option<u8>, minimum = 0, maximum = 1, default = 0)]
     lead: Lead,
+    /// `forecast`, only with `lead=1`: the one that read the weather forecast of the day in the place of observations. It is issued
+    /// beside the one of lead 1 that did not.
+    #[serde(default)]
+    #[param(value_type = Option<String>, pattern = "^(observed|forecast)$", default = "observed")]
+    weather: Weather,
 }
 
 /// A forecast as it was issued; it never changes.
@@ -56,6 +64,9 @@ pub struct IssuedResource {
     date: civil::Date,
     /// Days between the last observation and that day.
     lead: u8,
+    /// `forecast` where the weather of the day was a forecast, else `observed`.
+    #[schema(value_type = String, example = "observed")]
+    weather: Weather,
     /// The model that spoke.
     model_id: Uuid,
     /// When it was issued.
@@ -67,6 +78,9 @@ pub struct IssuedResource {
     /// The forecast as it was.
     #[schema(value_type = ForecastResource)]
     forecast: Value,
+    /// The past days that were nearest to it, the most similar first; none of a forecast that was issued before they were kept.
+    #[schema(value_type = Vec<SimilarDay>)]
+    similar_days: Value,
     /// What the forecaster said of the day, if anything.
     call: Option<CallResource>,
 }
@@ -139,11 +153,13 @@ fn resource(station: &Station, issued: IssuedForecast, call: Option<ForecasterCa
         station: station.id.clone(),
         date: issued.date,
         lead: issued.lead,
+        weather: if issued.forecast_weather { Weather::Forecast } else { Weather::Observed },
         model_id: issued.model,
         issued: issued.issued,
         issued_by: issued.issued_by,
         hindcast: issued.hindcast,
         forecast: issued.body,
+        similar_days: issued.similar_days,
         call: call.map(Into::into),
     }
 }
@@ -169,22 +185,31 @@ pub async fn issue_forecast(
     conditions: Conditions,
     caller: Caller,
 ) -> ApiResult<Response> {
-    let speaker = Speaker::find(&state, &path.station, query.lead, None).await?;
-    let before = state.store.issued_forecast(&speaker.station.id, path.date.0, speaker.lead).await?;
+    let speaker = Speaker::find(&state, &path.station, query.lead, query.weather, None).await?;
+    let with_weather = query.weather == Weather::Forecast;
+    let before = state.store.issued_forecast(&speaker.station.id, path.date.0, speaker.lead, with_weather).await?;
     if !conditions.permit_write(before.as_ref().map(tag).as_deref()) {
         return Err(StoreError::Precondition.into());
     }
     let forecast = speaker.forecast(&state, path.date.0).await?;
+    let history = speaker.history_of(&state, path.date.0).await?;
+    let similar_days = match speaker.model.similar_days(&history, path.date.0, KEPT_SIMILAR_DAYS) {
+        Ok(days) => serde_json::to_value(days).map_err(Problem::internal)?,
+        Err(error) => return Err(speaker.refuse(&state, error).await?.into()),
+    };
     let issued = IssuedForecast {
         date: path.date.0,
         lead: speaker.lead,
+        forecast_weather: with_weather,
         model: speaker.id,
+        region: speaker.region.as_ref().map(|region| region.id.clone()),
         probability: forecast.probability,
         warned: forecast.category == Category::AvalancheDay,
         base_rate: speaker.model.base_rate,
         label: speaker.model.label,
         hindcast: has_ended(&speaker.station, path.date.0),
         body: serde_json::to_value(&forecast).map_err(Problem::internal)?,
+        similar_days,
         issued: clock::now(),
         issued_by: caller.name,
     };
@@ -204,16 +229,18 @@ async fn call_of(state: &AppState, station: &StationId, date: Date, lead: u8) ->
 
 /// The forecast of a day as it was issued, with the forecaster's call.
 #[utoipa::path(get, path = "/v1/stations/{station}/forecasts/{date}/issued", operation_id = "get_issued_forecast",
-    tag = "forecasts", params(DayPath, LeadQuery),
+    tag = "forecasts", params(DayPath, IssueQuery),
     responses((status = 200, description = "The forecast.", body = IssuedResource)))]
 pub async fn get_issued_forecast(
     State(state): State<AppState>,
     Path(path): Path<DayPath>,
-    Query(query): Query<LeadQuery>,
+    Query(query): Query<IssueQuery>,
     conditions: Conditions,
 ) -> ApiResult<Response> {
+    model_lead(query.lead.0, query.weather)?;
     let station = state.station(&path.station).await?;
-    let issued = state.store.issued_forecast(&station.id, path.date.0, query.lead.0).await?;
+    let with_weather = query.weather == Weather::Forecast;
+    let issued = state.store.issued_forecast(&station.id, path.date.0, query.lead.0, with_weather).await?;
     let issued = issued.ok_or_else(|| {
         let detail = format!("no forecast of {} with lead {} was issued for {}", path.date.0, query.lead.0, station.id);
         Problem::new(Code::NotIssued, detail)

@@ -139,7 +139,15 @@ impl ObservationResource {
 fn observation(day: &StoredDay) -> ApiResult<Observation> {
     let values = day.values.as_ref().map(|values| values.value).unwrap_or_default();
     let avalanche = day.avalanche.as_ref().map(|record| record.value);
-    Ok(Observation::from_values(&values, avalanche.as_ref()).map_err(Problem::internal)?)
+    let mut observation = Observation::from_values(&values, avalanche.as_ref()).map_err(Problem::internal)?;
+    observation.forecast = Some(day.forecast);
+    Ok(observation)
+}
+
+/// What was observed of a day; none where all of it is a weather forecast.
+fn observed(day: &StoredDay) -> Option<StoredDay> {
+    let values = day.values.clone().filter(|_| !day.forecast);
+    (values.is_some() || day.avalanche.is_some()).then(|| StoredDay { values, forecast: false, ..day.clone() })
 }
 
 fn tag(day: &StoredDay) -> String {
@@ -161,7 +169,8 @@ fn not_observed(station: &StationId, date: Date) -> Problem {
 }
 
 /// The days of a range, as JSON or, with `Accept: text/csv`, as the CSV that can be sent in again; with `Accept: text/x-smet` as
-/// SMET, which has weather and snow but no avalanches.
+/// SMET, which has weather and snow but no avalanches. In JSON a weather forecast is marked by `forecast`; the files have
+/// only what was observed.
 #[utoipa::path(get, path = "/v1/stations/{station}/observations", operation_id = "list_observations", tag = "observations",
     params(StationPath, RangeQuery),
     responses((status = 200, description = "A page of days.", content((ObservationList = "application/json"), (String = "text/csv"), (String = "text/x-smet")))))]
@@ -196,7 +205,8 @@ pub async fn list_observations(
     days.truncate(limit as usize);
     let next = days.last().filter(|_| more).map(|day| Date(day.date));
     let mut response = if csv {
-        let rows = days.iter().map(|day| Ok(observation(day)?.on(day.date))).collect::<ApiResult<Vec<_>>>()?;
+        let rows = days.iter().filter_map(observed).map(|day| Ok(observation(&day)?.on(day.date)));
+        let rows = rows.collect::<ApiResult<Vec<_>>>()?;
         let body = observations_csv::write(rows).into_bytes();
         let tag = etag(&body);
         let mut response = respond::tagged_bytes(&conditions, StatusCode::OK, tag, "text/csv; charset=utf-8", body);
@@ -207,7 +217,8 @@ pub async fn list_observations(
         }
         response
     } else if as_smet {
-        let rows: Vec<_> = days.iter().filter_map(|day| Some((day.date, day.values.as_ref()?.value))).collect();
+        let rows: Vec<_> =
+            days.iter().filter_map(observed).filter_map(|day| Some((day.date, day.values?.value))).collect();
         let body = smet::write(&station, &rows).into_bytes();
         respond::tagged_bytes(&conditions, StatusCode::OK, etag(&body), "text/x-smet; charset=utf-8", body)
     } else {
@@ -242,7 +253,8 @@ pub async fn get_observation(
 
 /// Records a day or replaces what was recorded of it; sending the same again changes nothing. Weather and snowpack are
 /// replaced as a whole; the avalanche record stays as it is unless `avalanche_activity` is given. Every earlier state is
-/// kept.
+/// kept. Weather of a day still to come is a forecast (`forecast` in the answer): no model is trained on it, only a forecast
+/// that is asked for with `weather=forecast` reads it, and the observation of the day replaces it.
 #[utoipa::path(put, path = "/v1/stations/{station}/observations/{date}", operation_id = "put_observation", tag = "observations",
     params(DayPath),
     request_body(content = Observation, example = json!({"air_temperature": -3.5, "wind_speed": 12.0, "wind_direction": 230,
@@ -262,7 +274,12 @@ pub async fn put_observation(
         return Err(Problem::new(Code::InvalidBody, first.detail.clone()).with_errors(faults).into());
     }
     let station = state.station(&path.station).await?;
-    let write = DayWrite { date: path.date.0, values: Some(observation.values()), avalanche: observation.avalanche() };
+    let today = clock::today(&station.zone());
+    let forecast = observation
+        .is_forecast(path.date.0, today)
+        .map_err(|fault| Problem::field(Code::InvalidBody, "/forecast", "contradiction", fault.to_string()))?;
+    let (values, avalanche) = (Some(observation.values()), observation.avalanche());
+    let write = DayWrite { date: path.date.0, values, forecast, avalanche };
     let author = Author { name: caller.name, at: clock::now(), source: "put" };
     let permits = |before: Option<&StoredDay>| conditions.permit_write(before.map(tag).as_deref());
     let (day, written) = state.store.put_day(&station.id, &write, &author, permits).await?;

@@ -66,6 +66,10 @@ impl From<Problem> for ApiError {
 impl From<StoreError> for ApiError {
     fn from(error: StoreError) -> Self {
         Self(match error {
+            StoreError::Observed(date) => Problem::new(
+                Code::AlreadyObserved,
+                format!("the weather of {date} was observed, and no forecast replaces it; nothing was stored"),
+            ),
             StoreError::Precondition => Problem::new(
                 Code::PreconditionFailed,
                 "the resource is not in the state that If-Match or If-None-Match asks for",

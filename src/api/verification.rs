@@ -10,14 +10,14 @@ use utoipa::{IntoParams, ToSchema};
 use super::{
     AppState,
     extract::{Conditions, Date, Path, Query},
-    forecasts::Lead,
+    forecasts::{Lead, Weather, model_lead},
     problem::ApiResult,
     respond,
     stations::StationPath,
 };
 use crate::{
     domain::{
-        ids::StationId,
+        ids::{RegionId, StationId},
         problem::{Code, Problem},
     },
     science::forecast::{
@@ -48,6 +48,15 @@ pub struct VerificationQuery {
     #[serde(default)]
     #[param(value_type = Option<u8>, minimum = 0, maximum = 1, default = 0)]
     lead: Lead,
+    /// `forecast`, only with `lead=1`: the forecasts that read a weather forecast of their day.
+    #[serde(default)]
+    #[param(value_type = Option<String>, pattern = "^(observed|forecast)$", default = "observed")]
+    weather: Weather,
+    /// Only what the model of this region said, judged by the avalanche days of the region; left out: only what was said of
+    /// the station's own.
+    #[serde(default)]
+    #[param(inline)]
+    region: Option<RegionId>,
     /// What counts as an avalanche day, `observed` or `presumed`: forecasts of models with the other label are left out.
     #[serde(default)]
     #[param(value_type = Option<String>, pattern = "^(observed|presumed)$", default = "observed")]
@@ -84,10 +93,15 @@ impl TryFrom<f64> for Ratio {
 pub struct VerificationResource {
     /// The station.
     station: StationId,
+    /// The region whose avalanche days were forecast; null: the station's own.
+    region: Option<RegionId>,
     /// True where the station's data were made by a generator.
     synthetic: bool,
     /// Days between the last observation and the day that is forecast.
     lead: u8,
+    /// `forecast` where the weather of each day was a forecast, else `observed`.
+    #[schema(value_type = String, example = "observed")]
+    weather: Weather,
     /// What counts as an avalanche day.
     #[schema(value_type = String, example = "observed")]
     label: Label,
@@ -111,6 +125,7 @@ pub async fn verify_forecasts(
     Query(query): Query<VerificationQuery>,
     conditions: Conditions,
 ) -> ApiResult<Response> {
+    model_lead(query.lead.0, query.weather)?;
     let station = state.station(&path.station).await?;
     let (from, to) = (query.from.map_or(ALWAYS.0, |date| date.0), query.to.map_or(ALWAYS.1, |date| date.0));
     if from > to {
@@ -119,12 +134,15 @@ pub async fn verify_forecasts(
     }
     let (lead, label) = (query.lead.0, query.label.unwrap_or(Label::Observed));
     let (hindcasts, seed) = (query.hindcasts.unwrap_or(false), query.seed.unwrap_or(0));
-    let mut issued = state.store.issued_forecasts(&station.id, from, to, lead).await?;
-    issued.retain(|forecast| forecast.label == label && (hindcasts || !forecast.hindcast));
+    let mut issued =
+        state.store.issued_forecasts(&station.id, from, to, lead, query.weather == Weather::Forecast).await?;
+    issued.retain(|forecast| {
+        forecast.label == label && forecast.region == query.region && (hindcasts || !forecast.hindcast)
+    });
     let mut calls = state.store.forecaster_calls(&station.id, from, to, lead).await?;
     calls.retain(|call| hindcasts || !call.hindcast);
     let last = issued.last().map_or(from, |forecast| forecast.date);
-    let history = state.store.day_records(&station.id, ALWAYS.0, last).await?;
+    let history = history(&state, &station.id, query.region.as_ref(), label, last).await?;
     let cost_loss = query.cost_loss_ratio.map(|ratio| ratio.0);
     let (verification, waiting) = tokio::task::spawn_blocking(move || {
         let days = judged(&issued, &calls, &history, label);
@@ -134,14 +152,32 @@ pub async fn verify_forecasts(
     .map_err(Problem::internal)?;
     let answer = VerificationResource {
         station: station.id,
+        region: query.region,
         synthetic: station.synthetic,
         lead,
+        weather: query.weather,
         label,
         hindcasts,
         waiting,
         verification,
     };
     respond::resource(&conditions, &answer)
+}
+
+/// The days of the station until `last`; with the avalanche days of a region where that is what was forecast.
+async fn history(
+    state: &AppState,
+    station: &StationId,
+    region: Option<&RegionId>,
+    label: Label,
+    last: civil::Date,
+) -> ApiResult<Vec<DayRecord>> {
+    let Some(region) = region else { return Ok(state.store.day_records(station, ALWAYS.0, last).await?) };
+    let region = state.region(region).await?;
+    let days = state.store.regional_days(&region, label, ALWAYS.0, last).await?;
+    // every station of a region has all of its days; one that has left it is judged by them as well
+    let at = region.body.stations.iter().position(|id| id == station).unwrap_or(0);
+    Ok(days.into_iter().nth(at).unwrap_or_default())
 }
 
 /// The forecasts whose outcome is known.

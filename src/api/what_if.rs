@@ -9,7 +9,7 @@ use uuid::Uuid;
 use super::{
     AppState,
     extract::{Conditions, Date, JsonBody, Path},
-    forecasts::{ForecastResource, Lead, Speaker},
+    forecasts::{ForecastResource, Lead, Speaker, Weather, model_lead},
     problem::ApiResult,
     respond,
     stations::StationPath,
@@ -43,6 +43,11 @@ pub struct WhatIfBody {
     #[serde(default)]
     #[schema(value_type = u8, minimum = 0, maximum = 1, default = 0)]
     lead: Lead,
+    /// `forecast`, only with `lead` 1: the active model of lead 0 reads the weather forecast of the day in the place of
+    /// observations.
+    #[serde(default)]
+    #[schema(value_type = String, pattern = "^(observed|forecast)$", default = "observed")]
+    weather: Weather,
     /// A model other than the active one; it must be of this station and lead.
     #[serde(default)]
     model_id: Option<Uuid>,
@@ -147,14 +152,17 @@ pub async fn ask_what_if(
     JsonBody(body): JsonBody<WhatIfBody>,
 ) -> ApiResult<Response> {
     let date = body.date.0;
-    let speaker = Speaker::find(&state, &path.station, body.lead, body.model_id).await?;
+    if let Err(problem) = model_lead(body.lead.0, body.weather) {
+        return Err(Problem { code: Code::InvalidBody, ..problem }.into());
+    }
+    let speaker = Speaker::find(&state, &path.station, body.lead, body.weather, body.model_id).await?;
     let base = speaker
         .model
         .base_date(date)
         .map_err(|error| Problem::field(Code::InvalidBody, "/date", "out_of_range", error.to_string()))?;
     let changes = read_changes(&body.changes, base)?;
     let values = body.response.as_ref().map(|asked| response_values(asked, &speaker.model)).transpose()?;
-    let history = speaker.history(&state, date, date).await?;
+    let history = speaker.history_of(&state, date).await?;
     let days: Vec<DayRecord> = changed(&history, &changes);
     let after = match speaker.model.forecast(&days, date) {
         Ok(forecast) => forecast,
@@ -174,8 +182,8 @@ pub async fn ask_what_if(
     };
     let answer = WhatIf {
         difference: before.as_ref().map(|before| after.probability - before.probability),
-        as_observed: before.map(|before| speaker.resource(before)),
-        changed: speaker.resource(after),
+        as_observed: before.map(|before| speaker.resource(before, &history)),
+        changed: speaker.resource(after, &days),
         response,
     };
     respond::resource(&Conditions::default(), &answer)

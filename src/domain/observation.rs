@@ -57,6 +57,7 @@ macro_rules! observation {
                     avalanche_type: avalanche.and_then(|record| record.r#type),
                     avalanche_trigger: avalanche.and_then(|record| record.trigger),
                     avalanche_size: avalanche.and_then(|record| record.size),
+                    forecast: None,
                 })
             }
 
@@ -71,6 +72,7 @@ macro_rules! observation {
                     avalanche_type: self.avalanche_type,
                     avalanche_trigger: self.avalanche_trigger,
                     avalanche_size: self.avalanche_size,
+                    forecast: self.forecast,
                 }
             }
         }
@@ -86,6 +88,7 @@ macro_rules! observation {
                     avalanche_type: self.avalanche_type,
                     avalanche_trigger: self.avalanche_trigger,
                     avalanche_size: self.avalanche_size,
+                    forecast: self.forecast,
                 };
                 (self.date, day)
             }
@@ -113,6 +116,9 @@ macro_rules! observation {
             pub avalanche_trigger: Option<AvalancheTrigger>,
             /// Size of the largest avalanche on the European scale of 1 to 5, in steps of 0.5.
             pub avalanche_size: Option<AvalancheSize>,
+            /// True for a weather forecast of the day, which is kept apart until the day is observed. Left out or null: weather
+            /// of a day that is still to come is a forecast, any other was observed.
+            pub forecast: Option<bool>,
         }
     };
 }
@@ -171,6 +177,22 @@ impl Observation {
         }
     }
 
+    /// Whether the weather is a forecast and no observation, where the station's present day is `today`.
+    ///
+    /// # Errors
+    /// [`ForecastContradiction`] for weather that is said to be observed on a day to come, and for avalanches that a forecast
+    /// says were seen or ruled out.
+    pub fn is_forecast(&self, date: Date, today: Date) -> Result<bool, ForecastContradiction> {
+        match self.forecast {
+            Some(false) if date > today => Err(ForecastContradiction::ObservedBeforehand { today }),
+            Some(true) if self.avalanche_activity.is_some_and(|activity| activity != Activity::Unknown) => {
+                Err(ForecastContradiction::Avalanches)
+            }
+            Some(forecast) => Ok(forecast),
+            None => Ok(date > today),
+        }
+    }
+
     /// The day as the engines read it; an activity that was not given is unknown.
     #[must_use]
     pub fn day_record(&self, date: Date) -> DayRecord {
@@ -183,6 +205,20 @@ impl Observation {
             || self.avalanche_trigger.is_some()
             || self.avalanche_size.is_some()
     }
+}
+
+/// Why a day can be neither a forecast nor an observation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ForecastContradiction {
+    /// Nobody can have observed it.
+    #[error("must be true or left out: the day is still to come (the station's present day is {today})")]
+    ObservedBeforehand {
+        /// The present day.
+        today: Date,
+    },
+    /// Avalanches are observed and not forecast.
+    #[error("must be false or left out where avalanche_activity is given: avalanches are observed and not forecast")]
+    Avalanches,
 }
 
 #[cfg(test)]
@@ -203,7 +239,7 @@ mod tests {
         for variable in Variable::ALL {
             assert!(fields.get(variable.name()).is_some_and(serde_json::Value::is_null), "{}", variable.name());
         }
-        assert_eq!(fields.as_object().unwrap().len(), VARIABLES + 5);
+        assert_eq!(fields.as_object().unwrap().len(), VARIABLES + 6);
     }
 
     #[test]
@@ -255,6 +291,23 @@ mod tests {
     }
 
     #[test]
+    fn weather_of_a_day_to_come_is_a_forecast() {
+        let (yesterday, today, tomorrow) = (date(2007, 2, 28), date(2007, 3, 1), date(2007, 3, 2));
+        let kind = |body, day| read(body).unwrap().is_forecast(day, today);
+        for (day, expected) in [(yesterday, false), (today, false), (tomorrow, true)] {
+            assert_eq!(kind(json!({}), day), Ok(expected));
+            assert_eq!(kind(json!({"forecast": true, "avalanche_activity": "unknown"}), day), Ok(true));
+        }
+        assert_eq!(kind(json!({"forecast": false}), today), Ok(false));
+        assert_eq!(
+            kind(json!({"forecast": false}), tomorrow),
+            Err(ForecastContradiction::ObservedBeforehand { today })
+        );
+        let seen = json!({"forecast": true, "avalanche_activity": "none"});
+        assert_eq!(kind(seen, tomorrow), Err(ForecastContradiction::Avalanches));
+    }
+
+    #[test]
     fn contradictions_name_their_field() {
         let fields = |body| {
             let found = read(body).unwrap().contradictions();
@@ -285,7 +338,7 @@ mod tests {
     fn the_schema_lists_every_field_with_its_unit() {
         let schema = serde_json::to_value(Observation::schema()).unwrap();
         let properties = schema["properties"].as_object().unwrap();
-        assert_eq!(properties.len(), VARIABLES + 5);
+        assert_eq!(properties.len(), VARIABLES + 6);
         assert_eq!(schema["additionalProperties"], false);
         assert!(schema.get("required").is_none());
         let text = properties["wind_speed"].to_string();

@@ -13,6 +13,7 @@ use utoipa::{
 
 use super::{
     ids::StationId,
+    retrain::Retrain,
     units::{Altitude, Latitude, Longitude},
 };
 
@@ -34,10 +35,17 @@ pub struct StationBody {
     /// IANA time zone that makes the station's local days, such as `Europe/London`.
     #[serde(default)]
     pub timezone: Option<ZoneName>,
+    /// Id of its region among the European avalanche warning services (EAWS), for bulletins; null: the name of the station stands
+    /// there.
+    #[serde(default)]
+    pub eaws_region: Option<EawsRegion>,
     /// The variables that the station reports; null: whatever its observations contain.
     #[serde(default, deserialize_with = "distinct")]
     #[schema(schema_with = variables_schema)]
     pub variables: Option<Vec<Variable>>,
+    /// When its models are retrained by themselves, as a proposal; null: on request only.
+    #[serde(default)]
+    pub retrain: Option<Retrain>,
 }
 
 /// A station as the store keeps it.
@@ -125,6 +133,23 @@ text! {
     "must be a name of the IANA time zone database, such as Europe/London", "Europe/London"
 }
 
+text! {
+    /// The id of a region of the European avalanche warning services.
+    EawsRegion, 4..=32, "^[A-Z]{2}(-[A-Za-z0-9]+)+$", is_region,
+    "must be the id of an EAWS region: a country and further parts of letters and digits, such as AT-07-08", "AT-07-08"
+}
+
+fn is_region(text: &str) -> bool {
+    let mut parts = text.split('-');
+    let country = parts.next().unwrap_or_default();
+    let rest: Vec<&str> = parts.collect();
+    let is_part = |part: &&str| !part.is_empty() && part.bytes().all(|letter| letter.is_ascii_alphanumeric());
+    country.len() == 2
+        && country.bytes().all(|letter| letter.is_ascii_uppercase())
+        && !rest.is_empty()
+        && rest.iter().all(is_part)
+}
+
 impl ZoneName {
     /// The zone of that name.
     #[must_use]
@@ -175,6 +200,18 @@ mod tests {
         assert!(body("variables", &json!(["snow_drift", "wind_speed"])).is_ok());
         let error = body("variables", &json!(["snow_drift", "wind_speed", "snow_drift"])).unwrap_err().to_string();
         assert!(error.contains("snow_drift is named twice"), "{error}");
+    }
+
+    #[test]
+    fn what_a_region_may_be_is_what_the_contract_says() {
+        let schema = serde_json::to_value(EawsRegion::schema()).unwrap();
+        let validator = jsonschema::validator_for(&schema).unwrap();
+        for region in
+            ["AT-07-08", "GB-SCT", "IT-32-TN-13", "AT", "at-07", "AT-", "AT--7", "AT-0 7", "A-07", "AT-Ö", "", "AT-7\n"]
+        {
+            let value = json!(region);
+            assert_eq!(body("eaws_region", &value).is_ok(), validator.is_valid(&value), "{region:?}");
+        }
     }
 
     #[test]

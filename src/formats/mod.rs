@@ -4,6 +4,7 @@
 //! cannot be true becomes missing and leaves a [`Flag`]; only an unreadable date or a broken structure refuses a row,
 //! and only a file that cannot be understood as a whole is a [`FormatError`].
 
+pub mod caaml;
 mod csv_source;
 pub mod emission;
 pub mod figures;
@@ -14,7 +15,6 @@ pub mod ndjson;
 pub mod observations_csv;
 mod report;
 pub mod sais;
-pub mod selection_svg;
 pub mod smet;
 mod text;
 

@@ -19,14 +19,14 @@ use crate::domain::{
     observation::Observation,
 };
 
-/// Rows of one statement: with the 18 columns of a day, well below the 32,766 values that SQLite takes.
+/// Rows of one statement: with the 19 columns of a day, well below the 32,766 values that SQLite takes.
 const ROWS: usize = 500;
 
 /// What is to be written of the days of one station by one author.
 pub(super) struct DayBatch<'a> {
     station: &'a StationId,
     author: &'a Author,
-    values: Vec<(Date, u32, Values)>,
+    values: Vec<(Date, u32, Values, bool)>,
     avalanches: Vec<(Date, u32, AvalancheRecord)>,
     observation_revisions: Vec<(Date, u32, String)>,
     avalanche_revisions: Vec<(Date, u32, String)>,
@@ -45,14 +45,23 @@ impl<'a> DayBatch<'a> {
     }
 
     /// Takes in a day that is `before` in the database; one that says nothing new makes no revision.
+    ///
+    /// # Errors
+    /// [`StoreError::Observed`] where it is a forecast of weather that was observed.
     pub(super) fn add(&mut self, before: Option<&StoredDay>, day: &DayWrite) -> Result<Written> {
         let mut changed = false;
+        let known = before.and_then(|before| Some((before.values.as_ref()?, before.forecast)));
+        if day.values.is_some() && day.forecast && known.is_some_and(|(_, forecast)| !forecast) {
+            return Err(StoreError::Observed(day.date));
+        }
         if let Some(values) = &day.values
-            && let Some(revision) = next(before.and_then(|before| before.values.as_ref()), values)
+            && known.is_none_or(|(known, forecast)| known.value != *values || forecast != day.forecast)
         {
-            let body = Observation::from_values(values, None).map_err(StoreError::corrupt)?;
+            let revision = known.map_or(0, |(known, _)| known.revision) + 1;
+            let mut body = Observation::from_values(values, None).map_err(StoreError::corrupt)?;
+            body.forecast = Some(day.forecast);
             self.observation_revisions.push((day.date, revision, to_json(&body)?));
-            self.values.push((day.date, revision, *values));
+            self.values.push((day.date, revision, *values, day.forecast));
             changed = true;
         }
         if let Some(record) = &day.avalanche
@@ -74,12 +83,12 @@ impl<'a> DayBatch<'a> {
         let updated = self.author.at.to_string();
         for rows in self.values.chunks(ROWS) {
             let mut query = QueryBuilder::<Sqlite>::new(UPSERT_VALUES.as_str());
-            query.push_values(rows, |mut row, (date, revision, values)| {
+            query.push_values(rows, |mut row, (date, revision, values, forecast)| {
                 row.push_bind(self.station.as_str()).push_bind(date.to_string());
                 for value in values {
                     row.push_bind(*value);
                 }
-                row.push_bind(*revision).push_bind(&updated);
+                row.push_bind(*forecast).push_bind(*revision).push_bind(&updated);
             });
             query.build().execute(&mut **tx).await?;
         }
@@ -144,8 +153,8 @@ static UPSERT_VALUES: LazyLock<String> = LazyLock::new(|| {
         // writing to a String cannot fail
         let _ = write!(sql, ", {}", variable.name());
     }
-    sql.push_str(", revision, updated) ");
+    sql.push_str(", forecast, revision, updated) ");
     sql
 });
 
-const _: () = assert!(ROWS * (VARIABLES + 4) < 32_766, "SQLite takes no more values in a statement");
+const _: () = assert!(ROWS * (VARIABLES + 5) < 32_766, "SQLite takes no more values in a statement");

@@ -7,7 +7,7 @@ use sqlx::{FromRow, Row, sqlite::SqliteRow};
 use uuid::Uuid;
 
 use super::{Result, Store, StoreError, from_json, parse_date, parse_timestamp, stations::Written, to_json};
-use crate::domain::ids::StationId;
+use crate::domain::ids::{RegionId, StationId};
 
 /// A forecast as it was issued.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,8 +16,12 @@ pub struct IssuedForecast {
     pub date: Date,
     /// Days between the last observation and that day.
     pub lead: u8,
+    /// Whether the weather of the day was a forecast.
+    pub forecast_weather: bool,
     /// The model that spoke.
     pub model: Uuid,
+    /// The region whose avalanche day was forecast; none: the station's own.
+    pub region: Option<RegionId>,
     /// Probability of an avalanche day.
     pub probability: f64,
     /// Whether it reached the threshold.
@@ -30,6 +34,8 @@ pub struct IssuedForecast {
     pub hindcast: bool,
     /// The forecast as it was answered.
     pub body: Value,
+    /// The past days that were nearest to it, as they were answered.
+    pub similar_days: Value,
     /// When.
     pub issued: Timestamp,
     /// By whom; none where no key was needed.
@@ -80,7 +86,12 @@ fn read_issued(row: &SqliteRow) -> Result<IssuedForecast> {
     Ok(IssuedForecast {
         date: parse_date(row.try_get("date")?)?,
         lead: row.try_get("lead")?,
+        forecast_weather: row.try_get::<String, _>("weather")? == weather(true),
         model: row.try_get::<String, _>("model")?.parse().map_err(StoreError::corrupt)?,
+        region: row
+            .try_get::<Option<String>, _>("region")?
+            .map(|region| region.parse().map_err(StoreError::corrupt))
+            .transpose()?,
         probability: row.try_get("probability")?,
         warned: row.try_get("warned")?,
         base_rate: row.try_get("base_rate")?,
@@ -91,6 +102,7 @@ fn read_issued(row: &SqliteRow) -> Result<IssuedForecast> {
         },
         hindcast: row.try_get("hindcast")?,
         body: from_json(row.try_get("body")?)?,
+        similar_days: from_json(row.try_get("similar")?)?,
         issued: parse_timestamp(row.try_get("issued")?)?,
         issued_by: row.try_get("issued_by")?,
     })
@@ -111,8 +123,13 @@ fn read_call(row: &SqliteRow) -> Result<ForecasterCall> {
     })
 }
 
+/// How the weather of the day itself is called.
+const fn weather(forecast: bool) -> &'static str {
+    if forecast { "forecast" } else { "observed" }
+}
+
 impl Store {
-    /// Freezes a forecast; false, and nothing written, where one of that day and lead is frozen already.
+    /// Freezes a forecast; false, and nothing written, where one of that day, lead and kind of weather is frozen already.
     ///
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be written.
@@ -124,19 +141,23 @@ impl Store {
         let mut tx = self.begin().await?;
         let done = sqlx::query(
             "INSERT INTO issued_forecast
-                 (station, date, lead, model, probability, warned, base_rate, label, hindcast, body, issued, issued_by)
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+                 (station, date, lead, weather, model, region, probability, warned, base_rate, label, hindcast, body, similar,
+                  issued, issued_by)
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
         )
         .bind(station.as_str())
         .bind(forecast.date.to_string())
         .bind(forecast.lead)
+        .bind(weather(forecast.forecast_weather))
         .bind(forecast.model.to_string())
+        .bind(forecast.region.as_ref().map(RegionId::as_str))
         .bind(forecast.probability)
         .bind(forecast.warned)
         .bind(forecast.base_rate)
         .bind(label)
         .bind(forecast.hindcast)
         .bind(to_json(&forecast.body)?)
+        .bind(to_json(&forecast.similar_days)?)
         .bind(forecast.issued.to_string())
         .bind(forecast.issued_by.as_deref())
         .execute(&mut *tx)
@@ -149,11 +170,18 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
-    pub async fn issued_forecast(&self, station: &StationId, date: Date, lead: u8) -> Result<Option<IssuedForecast>> {
-        Ok(self.issued_forecasts(station, date, date, lead).await?.pop())
+    pub async fn issued_forecast(
+        &self,
+        station: &StationId,
+        date: Date,
+        lead: u8,
+        forecast_weather: bool,
+    ) -> Result<Option<IssuedForecast>> {
+        Ok(self.issued_forecasts(station, date, date, lead, forecast_weather).await?.pop())
     }
 
-    /// The issued forecasts of the days from `from` to `to`, in their order.
+    /// The issued forecasts of the days from `from` to `to`, in their order: those that read a weather forecast of their day, or
+    /// those that did not.
     ///
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
@@ -163,16 +191,34 @@ impl Store {
         from: Date,
         to: Date,
         lead: u8,
+        forecast_weather: bool,
     ) -> Result<Vec<IssuedForecast>> {
         let rows: Vec<IssuedRow> = sqlx::query_as(
-            "SELECT * FROM issued_forecast WHERE station = ? AND lead = ? AND date BETWEEN ? AND ? ORDER BY date",
+            "SELECT * FROM issued_forecast
+             WHERE station = ? AND lead = ? AND weather = ? AND date BETWEEN ? AND ? ORDER BY date",
         )
         .bind(station.as_str())
         .bind(lead)
+        .bind(weather(forecast_weather))
         .bind(from.to_string())
         .bind(to.to_string())
         .fetch_all(&self.reader)
         .await?;
+        Ok(rows.into_iter().map(|row| row.0).collect())
+    }
+
+    /// All issued forecasts of the days from `from` to `to`, of every lead and kind of weather.
+    ///
+    /// # Errors
+    /// [`StoreError::Sql`] where the database cannot be read.
+    pub async fn issued_between(&self, station: &StationId, from: Date, to: Date) -> Result<Vec<IssuedForecast>> {
+        let rows: Vec<IssuedRow> =
+            sqlx::query_as("SELECT * FROM issued_forecast WHERE station = ? AND date BETWEEN ? AND ? ORDER BY date")
+                .bind(station.as_str())
+                .bind(from.to_string())
+                .bind(to.to_string())
+                .fetch_all(&self.reader)
+                .await?;
         Ok(rows.into_iter().map(|row| row.0).collect())
     }
 

@@ -1,15 +1,21 @@
 //! All SQL. SQLite in WAL mode is the truth: one writer connection, several readers, every write a transaction that is
 //! on disk before anybody is told of it.
 
+pub mod audit;
 pub mod datasets;
 mod day_batch;
 pub mod issued;
 pub mod jobs;
 pub mod keys;
+#[cfg(test)]
+mod migration_tests;
 pub mod models;
 pub mod observations;
+pub mod proposals;
+pub mod regions;
 pub mod selections;
 pub mod stations;
+pub mod transfers;
 pub mod vallen;
 
 use std::{
@@ -86,6 +92,9 @@ pub enum StoreError {
     /// The job is part of another one and goes with it.
     #[error("the job is part of job {0}")]
     Child(Uuid),
+    /// A weather forecast of a day that was observed.
+    #[error("{0} was observed")]
+    Observed(Date),
     /// The row that should change is not there.
     #[error("no such row")]
     Missing,

@@ -21,6 +21,8 @@ pub struct DayWrite {
     pub date: Date,
     /// Weather and snowpack; replaces all of them.
     pub values: Option<Values>,
+    /// True where they are a forecast and no observation.
+    pub forecast: bool,
     /// Avalanche activity.
     pub avalanche: Option<AvalancheRecord>,
 }
@@ -54,16 +56,28 @@ pub struct StoredDay {
     pub date: Date,
     /// Weather and snowpack.
     pub values: Option<Revised<Values>>,
+    /// True where they are a forecast and no observation.
+    pub forecast: bool,
     /// Avalanche activity.
     pub avalanche: Option<Revised<AvalancheRecord>>,
 }
 
 impl StoredDay {
-    /// What the science needs of it.
+    /// What was observed of it, as the science reads it: a weather forecast of the day is no part of it.
     #[must_use]
     pub fn record(&self) -> DayRecord {
+        self.record_of(self.values.as_ref().filter(|_| !self.forecast))
+    }
+
+    /// As [`Self::record`], with the weather forecast in the place of what was observed; none where there is no forecast.
+    #[must_use]
+    pub fn forecast_record(&self) -> Option<DayRecord> {
+        Some(self.record_of(Some(self.values.as_ref().filter(|_| self.forecast)?)))
+    }
+
+    fn record_of(&self, values: Option<&Revised<Values>>) -> DayRecord {
         let mut record = DayRecord::empty(self.date);
-        if let Some(values) = &self.values {
+        if let Some(values) = values {
             record.values = values.value;
         }
         if let Some(avalanche) = &self.avalanche {
@@ -97,7 +111,7 @@ pub enum Part {
     Avalanche,
 }
 
-struct ValuesRow(Date, Revised<Values>);
+struct ValuesRow(Date, Revised<Values>, bool);
 struct AvalancheRow(Date, Revised<AvalancheRecord>);
 struct RevisionRow(Revision);
 
@@ -120,7 +134,8 @@ fn read_values(row: &SqliteRow) -> Result<ValuesRow> {
     }
     let date = parse_date(row.try_get("date")?)?;
     let updated = parse_timestamp(row.try_get("updated")?)?;
-    Ok(ValuesRow(date, Revised { value: values, revision: row.try_get("revision")?, updated }))
+    let revised = Revised { value: values, revision: row.try_get("revision")?, updated };
+    Ok(ValuesRow(date, revised, row.try_get("forecast")?))
 }
 
 fn read_avalanche(row: &SqliteRow) -> Result<AvalancheRow> {
@@ -180,13 +195,15 @@ async fn select_days(
 fn merge(values: Vec<ValuesRow>, avalanches: Vec<AvalancheRow>) -> Vec<StoredDay> {
     let mut days: Vec<StoredDay> = values
         .into_iter()
-        .map(|ValuesRow(date, values)| StoredDay { date, values: Some(values), avalanche: None })
+        .map(|ValuesRow(date, values, forecast)| StoredDay { date, values: Some(values), forecast, avalanche: None })
         .collect();
     let mut only_avalanche = Vec::new();
     for AvalancheRow(date, avalanche) in avalanches {
         match days.binary_search_by_key(&date, |day| day.date) {
             Ok(found) => days[found].avalanche = Some(avalanche),
-            Err(_) => only_avalanche.push(StoredDay { date, values: None, avalanche: Some(avalanche) }),
+            Err(_) => {
+                only_avalanche.push(StoredDay { date, values: None, forecast: false, avalanche: Some(avalanche) });
+            }
         }
     }
     if !only_avalanche.is_empty() {
@@ -220,7 +237,8 @@ fn without_loss(before: Option<&StoredDay>, day: &DayWrite) -> DayWrite {
 /// What a file says of a day, with what is known of variables that no row of the file has: a table of snow heights alone
 /// must not wipe out the wind.
 fn with_unsaid(before: Option<&StoredDay>, mut day: DayWrite, said: &[bool; VARIABLES]) -> DayWrite {
-    let known = before.and_then(|before| before.values.as_ref());
+    // an observation keeps nothing of the forecast that it replaces
+    let known = before.filter(|before| before.forecast == day.forecast).and_then(|before| before.values.as_ref());
     if let (Some(values), Some(known)) = (&mut day.values, known) {
         for ((value, known), said) in values.iter_mut().zip(known.value).zip(said) {
             if !said {
@@ -245,7 +263,7 @@ impl Store {
     /// and a part that says nothing at all (no weather, an unknown activity) replaces nothing that is known.
     ///
     /// # Errors
-    /// [`StoreError::Sql`]: then nothing was written.
+    /// [`StoreError::Sql`], and [`StoreError::Observed`] for a forecast of a day that was observed: then nothing was written.
     pub async fn put_days(&self, station: &StationId, days: &[DayWrite], author: &Author) -> Result<Vec<Written>> {
         self.write_days(station, days, author, &[true; VARIABLES]).await
     }
@@ -253,7 +271,7 @@ impl Store {
     /// As [`Store::put_days`], for a file with a column a variable: one that no row has a value of stays as it is known.
     ///
     /// # Errors
-    /// [`StoreError::Sql`]: then nothing was written.
+    /// As [`Store::put_days`].
     pub async fn merge_days(&self, station: &StationId, days: &[DayWrite], author: &Author) -> Result<Vec<Written>> {
         self.write_days(station, days, author, &said(days)).await
     }
@@ -286,7 +304,8 @@ impl Store {
     /// Writes one day if `permits` agrees with what is there before.
     ///
     /// # Errors
-    /// [`StoreError::Precondition`] where it does not; nothing was written then.
+    /// [`StoreError::Precondition`] where it does not, [`StoreError::Observed`] for a forecast of a day that was observed; nothing
+    /// was written then.
     pub async fn put_day(
         &self,
         station: &StationId,
@@ -329,12 +348,15 @@ impl Store {
         Ok(days)
     }
 
-    /// All days from `from` to `to`, both included, as the science reads them.
+    /// All days from `from` to `to`, both included, as the science reads them: what was observed and no weather forecast.
     ///
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
     pub async fn day_records(&self, station: &StationId, from: Date, to: Date) -> Result<Vec<DayRecord>> {
-        Ok(self.days(station, from, to, u32::MAX).await?.iter().map(StoredDay::record).collect())
+        let days = self.days(station, from, to, u32::MAX).await?;
+        // a day of which there is only a forecast is not there
+        let observed = days.iter().filter(|day| !day.forecast || day.avalanche.is_some());
+        Ok(observed.map(StoredDay::record).collect())
     }
 
     /// The avalanche records of a station on these days; a day without one is not among them.
@@ -362,8 +384,10 @@ impl Store {
         variables: &[Variable],
         until: Date,
     ) -> Result<Option<Date>> {
-        let sql =
-            format!("SELECT max(date) FROM observation WHERE station = ? AND date <= ? AND {}", any_of(variables));
+        let sql = format!(
+            "SELECT max(date) FROM observation WHERE station = ? AND date <= ? AND forecast = 0 AND {}",
+            any_of(variables)
+        );
         let date: Option<String> = sqlx::query_scalar(AssertSqlSafe(sql))
             .bind(station.as_str())
             .bind(until.to_string())
@@ -383,7 +407,7 @@ impl Store {
         date: Date,
     ) -> Result<Option<Date>> {
         let sql = format!(
-            "SELECT date FROM observation WHERE station = ?1 AND {}
+            "SELECT date FROM observation WHERE station = ?1 AND forecast = 0 AND {}
              ORDER BY abs(julianday(date) - julianday(?2)), date LIMIT 1",
             any_of(variables)
         );

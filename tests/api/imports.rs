@@ -329,6 +329,7 @@ async fn an_export_is_read_with_its_traps() {
       "avalanche_type": "dry",
       "avalanche_trigger": "natural",
       "avalanche_size": null,
+      "forecast": false,
       "synthetic": false,
       "revision": 1,
       "avalanche_revision": 1,

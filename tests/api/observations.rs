@@ -56,6 +56,7 @@ async fn a_day_is_recorded_and_read() {
       "avalanche_type": "dry",
       "avalanche_trigger": null,
       "avalanche_size": null,
+      "forecast": false,
       "synthetic": false,
       "revision": 1,
       "avalanche_revision": 1,
@@ -115,7 +116,8 @@ async fn revisions_keep_who_wrote_what_and_when() {
             "avalanche_count": null,
             "avalanche_type": null,
             "avalanche_trigger": null,
-            "avalanche_size": null
+            "avalanche_size": null,
+            "forecast": false
           }
         },
         {
@@ -142,7 +144,8 @@ async fn revisions_keep_who_wrote_what_and_when() {
             "avalanche_count": null,
             "avalanche_type": null,
             "avalanche_trigger": null,
-            "avalanche_size": null
+            "avalanche_size": null,
+            "forecast": false
           }
         }
       ]

@@ -69,8 +69,10 @@ async fn a_selection_ends_in_a_model_that_keeps_its_curve() {
         let features = app.read(&format!("/v1/models/{model}/features")).await;
         assert_eq!(features["features"].as_array().unwrap().len() as u64, count);
         let svg = app.get(&format!("/v1/models/{model}/selection")).header("accept", "image/svg+xml").await;
-        assert!(svg.text().starts_with("<svg ") && svg.text().contains("in use"), "{}", svg.text());
-        let neither = app.get(&format!("/v1/models/{model}/selection")).header("accept", "image/png").await;
+        assert!(svg.text().starts_with("<svg ") && svg.text().contains("of the model"), "{}", svg.text());
+        let png = app.get(&format!("/v1/models/{model}/selection")).header("accept", "image/png").await;
+        assert_eq!((png.status, png.header("content-type")), (200, "image/png"));
+        let neither = app.get(&format!("/v1/models/{model}/selection")).header("accept", "image/gif").await;
         neither.problem("not-acceptable");
     }
     // a selection of another task

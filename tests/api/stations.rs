@@ -25,10 +25,12 @@ async fn a_station_is_made_and_read() {
       "longitude": -5.0,
       "altitude_m": 900.0,
       "timezone": "Europe/London",
+      "eaws_region": null,
       "variables": [
         "air_temperature",
         "wind_speed"
       ],
+      "retrain": null,
       "synthetic": false,
       "revision": 1,
       "created": "[instant]",
@@ -50,7 +52,9 @@ async fn all_but_the_name_may_be_left_out() {
       "longitude": null,
       "altitude_m": null,
       "timezone": null,
+      "eaws_region": null,
       "variables": null,
+      "retrain": null,
       "synthetic": false,
       "revision": 1,
       "created": "[instant]",

@@ -20,11 +20,24 @@ EXPLAINED = {
     # the last day before the first, or more days than one answer may have
     "list_observations": {"invalid-parameter": {"/to"}},
     "list_forecasts": {"invalid-parameter": {"/to"}, "model-mismatch": {"/model_id"}},
+    # a weather forecast goes with lead 1 alone
+    "list_station_forecasts": {"invalid-parameter": {"/weather"}},
+    "get_issued_forecast": {"invalid-parameter": {"/weather"}},
+    "get_bulletin": {"invalid-parameter": {"/weather"}},
+    "list_bulletins": {"invalid-parameter": {"/to", "/weather"}},
     # a model of another station or lead; the first day of the calendar has no day before it
-    "get_latest_forecast": {"model-mismatch": {"/model_id"}},
-    "get_forecast": {"model-mismatch": {"/model_id"}, "invalid-parameter": {"/date"}},
-    "list_similar_days": {"model-mismatch": {"/model_id"}, "invalid-parameter": {"/date"}},
+    "get_latest_forecast": {"model-mismatch": {"/model_id"}, "invalid-parameter": {"/weather"}},
+    "get_forecast": {"model-mismatch": {"/model_id"}, "invalid-parameter": {"/date", "/weather"}},
+    "list_similar_days": {"model-mismatch": {"/model_id"}, "invalid-parameter": {"/date", "/weather"}},
     "put_active_model": {"model-mismatch": {"/model_id"}, "precondition-failed": {""}},
+    "put_region_model": {"model-mismatch": {"/model_id"}, "precondition-failed": {""}},
+    "roll_back_model": {"precondition-failed": {""}},
+    "roll_back_region_model": {"precondition-failed": {""}},
+    # stations that are not there, or fewer than an avalanche day of the region needs
+    "put_region": {"invalid-body": {"/stations", "/avalanche_day"}, "precondition-failed": {""}},
+    # a place is one of the two
+    "list_models": {"invalid-parameter": {"/region"}},
+    "get_region_forecast": {"invalid-parameter": {"/date"}},
     # a time zone that the IANA database does not have; If-Match of another version
     "put_station": {"invalid-body": {"/timezone"}, "precondition-failed": {""}},
     # the inputs of a process have a schema of their own, in its description; names of labels have rules that a schema of
@@ -52,14 +65,15 @@ EXPLAINED = {
         "precondition-failed": {""},
     },
     # a model of another station, names of variables and bounds of their values, the order of two ends
-    "ask_what_if": {"model-mismatch": {"/model_id"}, "invalid-body": {"/changes", "/response", "/date"}},
+    "ask_what_if": {"model-mismatch": {"/model_id"}, "invalid-body": {"/changes", "/response", "/date", "/weather"}},
     "put_forecaster_call": {"precondition-failed": {""}},
-    "issue_forecast": {"precondition-failed": {""}},
-    "verify_forecasts": {"invalid-parameter": {"/to"}},
-    "explain_forecast": {"model-mismatch": {"/model_id"}, "invalid-parameter": {"/date"}},
+    "issue_forecast": {"precondition-failed": {""}, "invalid-parameter": {"/date", "/weather"}},
+    "verify_forecasts": {"invalid-parameter": {"/to", "/weather"}},
+    "explain_forecast": {"model-mismatch": {"/model_id"}, "invalid-parameter": {"/date", "/weather"}},
     "put_observation": {
         "invalid-body": {
-            f"/avalanche_{name}" for name in ("activity", "count", "type", "trigger", "size")
+            "/forecast",
+            *(f"/avalanche_{name}" for name in ("activity", "count", "type", "trigger", "size")),
         },
         "precondition-failed": {""},
     },

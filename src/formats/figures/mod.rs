@@ -4,10 +4,12 @@ mod axes;
 mod comparison;
 mod outcomes;
 mod plot;
+mod selection;
 
 pub use comparison::of_comparison;
 pub use outcomes::{of_catalogue, of_outcome};
 pub use plot::{DrawError, ImageFormat, Plot};
+pub use selection::of_selection;
 
 /// A figure of a result.
 #[derive(Clone, Debug, PartialEq)]

@@ -6,6 +6,8 @@ pub mod emission_analysis;
 pub mod emission_comparison;
 pub mod emission_location;
 pub mod emission_synthetic;
+pub mod evaluate_transfer;
+pub mod retrain_model;
 pub mod runout;
 pub mod select_features;
 pub mod train_model;
@@ -43,6 +45,10 @@ pub enum Process {
     TrainModel,
     /// Finds how many features a model of a station takes.
     SelectFeatures,
+    /// Scores a model at a station that it was not trained at.
+    EvaluateTransfer,
+    /// Trains the recipe of the active model on the days there are now, as a proposal.
+    RetrainModel,
     /// Simulates the run-out of an avalanche.
     Runout,
     /// Analyses a data set of acoustic emission.
@@ -92,10 +98,12 @@ pub struct Description {
 
 impl Process {
     /// Every process.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 10] = [
         Self::Echo,
         Self::TrainModel,
         Self::SelectFeatures,
+        Self::EvaluateTransfer,
+        Self::RetrainModel,
         Self::Runout,
         Self::EmissionAnalysis,
         Self::EmissionComparison,
@@ -110,6 +118,8 @@ impl Process {
             Self::Echo => echo::ID,
             Self::TrainModel => train_model::ID,
             Self::SelectFeatures => select_features::ID,
+            Self::EvaluateTransfer => evaluate_transfer::ID,
+            Self::RetrainModel => retrain_model::ID,
             Self::Runout => runout::ID,
             Self::EmissionAnalysis => emission_analysis::ID,
             Self::EmissionComparison => emission_comparison::ID,
@@ -131,6 +141,8 @@ impl Process {
             Self::Echo => echo::description(),
             Self::TrainModel => train_model::description(),
             Self::SelectFeatures => select_features::description(),
+            Self::EvaluateTransfer => evaluate_transfer::description(),
+            Self::RetrainModel => retrain_model::description(),
             Self::Runout => runout::description(),
             Self::EmissionAnalysis => emission_analysis::description(),
             Self::EmissionComparison => emission_comparison::description(),
@@ -155,6 +167,8 @@ impl Process {
             Self::Echo => echo::accept(inputs),
             Self::TrainModel => train_model::accept(shelf.store, inputs).await,
             Self::SelectFeatures => select_features::accept(shelf.store, inputs).await,
+            Self::EvaluateTransfer => evaluate_transfer::accept(shelf.store, inputs).await,
+            Self::RetrainModel => retrain_model::accept(shelf.store, inputs).await,
             Self::Runout => runout::accept(inputs, shelf.runout_memory_bytes),
             Self::EmissionAnalysis => emission_analysis::accept(shelf, inputs).await,
             Self::EmissionComparison => emission_comparison::accept(shelf, inputs).await,
@@ -180,6 +194,8 @@ impl Process {
             }
             Self::TrainModel => return train_model::payload(shelf.store, job).await,
             Self::SelectFeatures => return select_features::payload(shelf.store, job).await,
+            Self::EvaluateTransfer => return evaluate_transfer::payload(shelf.store, job).await,
+            Self::RetrainModel => return retrain_model::payload(shelf.store, job).await,
             Self::Runout => runout::payload(job, shelf.runout_memory_bytes),
             Self::EmissionAnalysis => emission_analysis::payload(shelf, job).await,
             Self::EmissionComparison => emission_comparison::payload(shelf, job).await,
@@ -198,6 +214,8 @@ impl Process {
             Self::Echo => echo::compute(payload, progress),
             Self::TrainModel => train_model::compute(payload, progress),
             Self::SelectFeatures => select_features::compute(payload, progress),
+            Self::EvaluateTransfer => evaluate_transfer::compute(payload, progress),
+            Self::RetrainModel => retrain_model::compute(payload, progress),
             Self::Runout => runout::compute(payload, progress),
             Self::EmissionAnalysis => emission_analysis::compute(payload, progress),
             Self::EmissionComparison => emission_comparison::compute(payload, progress),
@@ -215,6 +233,12 @@ impl Process {
             Self::EmissionLocation | Self::EmissionSynthetic => emission::kept(job, keep, now).map(Kept::Dataset),
             Self::SelectFeatures => {
                 select_features::kept(job.id, keep).map(|selection| Kept::Selection(Box::new(selection)))
+            }
+            Self::EvaluateTransfer => {
+                evaluate_transfer::kept(job.id, keep).map(|transfer| Kept::Transfer(Box::new(transfer)))
+            }
+            Self::RetrainModel => {
+                retrain_model::kept(job.id, keep, now).map(|proposal| Kept::Proposal(Box::new(proposal)))
             }
             _ => train_model::kept(job.id, keep, now).map(|model| Kept::Model(Box::new(model))),
         }

@@ -4,7 +4,7 @@ use firn_science::{
     forecast::{
         day::{DayRecord, Label, Variable},
         features::FeatureSetId,
-        model::{self, TrainingError},
+        model,
         selection::{self, FeatureSelection},
         svm::KernelFamily,
     },
@@ -18,17 +18,17 @@ use uuid::Uuid;
 
 use super::{
     Accepted, Description, invalid_inputs,
-    train_model::{self, Prepared, station_schema},
+    train_model::{self, region_schema, station_schema},
 };
 use crate::{
     domain::{
         date,
-        ids::StationId,
+        ids::{Place, RegionId, StationId},
         job::Job,
         problem::{FieldError, Problem},
         schema,
     },
-    formats::selection_svg,
+    formats::figures::{self, DrawError, ImageFormat},
     jobs::{
         link::{Artifact, Output},
         processes::Failure,
@@ -47,9 +47,14 @@ pub const ID: &str = "select-features";
 #[serde(deny_unknown_fields)]
 #[schema(as = SelectionInputs)]
 pub struct Inputs {
-    /// The station whose observations are used.
+    /// The station whose observations are used; name a station or a region.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = station_schema)]
-    pub station: StationId,
+    pub station: Option<StationId>,
+    /// The region whose stations are used together.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(schema_with = region_schema)]
+    pub region: Option<RegionId>,
     /// What counts as an avalanche day: `observed` (an avalanche was seen) or `presumed` (seen or judged likely).
     #[schema(value_type = String, pattern = "^(observed|presumed)$", example = "observed")]
     pub label: Label,
@@ -75,6 +80,7 @@ impl Inputs {
     fn training(&self) -> train_model::Inputs {
         train_model::Inputs {
             station: self.station.clone(),
+            region: self.region.clone(),
             label: self.label,
             lead: self.lead,
             feature_set: self.feature_set,
@@ -110,7 +116,7 @@ pub fn description() -> Description {
             },
             "ranking": {"title": "Features, the most useful first", "schema": {"type": "array"}},
             "picture": {"title": "The curve as SVG, by reference", "schema": {"type": "object"}},
-            "provenance": {"title": "Version and input hash", "schema": {"type": "object"}},
+            "provenance": {"title": "Version, input hash and seed", "schema": {"type": "object"}},
         }),
         example: json!({"inputs": {"station": "lochaber", "label": "observed", "lead": 0}}),
     }
@@ -118,7 +124,7 @@ pub fn description() -> Description {
 
 /// Checks the inputs against their schema, the station and the window.
 pub(super) async fn accept(store: &Store, inputs: &Value) -> Result<Accepted, Problem> {
-    let read: Inputs = schema::read(inputs, "/inputs").map_err(invalid_inputs)?;
+    let read: Inputs = train_model::read_of_place(inputs)?;
     let mut faults = Vec::new();
     if read.lead > model::LONGEST_LEAD {
         faults.push(FieldError::new("/inputs/lead", "out_of_range", "must be 0 (nowcast) or 1 (tomorrow)"));
@@ -128,13 +134,14 @@ pub(super) async fn accept(store: &Store, inputs: &Value) -> Result<Accepted, Pr
     {
         faults.push(FieldError::new("/inputs/to", "out_of_range", format!("must not be before from, {from}")));
     }
+    faults.extend(train_model::place_fault(read.station.as_ref(), read.region.as_ref()));
     if !faults.is_empty() {
         return Err(invalid_inputs(faults));
     }
     let training = read.training();
-    let Prepared { station, days, options } = train_model::prepare(store, &training).await?;
-    model::check(&days, &options).map_err(|error| train_model::refused_window(&error))?;
-    let hash = train_model::hash(&training, &station, &days);
+    let prepared = train_model::prepare(store, &training).await?;
+    model::check_pooled(&prepared.parts(), &prepared.options).map_err(|error| train_model::refused_window(&error))?;
+    let hash = train_model::hash(&training, &prepared);
     Ok(Accepted { inputs: serde_json::to_value(&read).map_err(Problem::internal)?, hash })
 }
 
@@ -142,25 +149,27 @@ pub(super) async fn accept(store: &Store, inputs: &Value) -> Result<Accepted, Pr
 #[derive(Serialize, Deserialize)]
 struct Payload {
     inputs: Inputs,
+    place: Place,
     synthetic: bool,
     reported: Vec<Variable>,
     input_hash: String,
     version: String,
-    days: Vec<DayRecord>,
+    days: Vec<Vec<DayRecord>>,
 }
 
 /// The days as they are now.
 pub(super) async fn payload(store: &Store, job: &Job) -> Result<super::Payload, Problem> {
     let inputs: Inputs = serde_json::from_value(job.inputs.clone()).map_err(Problem::internal)?;
     let training = inputs.training();
-    let Prepared { station, days, options } = train_model::prepare(store, &training).await?;
+    let prepared = train_model::prepare(store, &training).await?;
     let payload = Payload {
-        synthetic: station.synthetic,
-        reported: options.reported,
-        input_hash: train_model::hash(&training, &station, &days),
+        place: prepared.place.clone(),
+        synthetic: prepared.is_synthetic(),
+        input_hash: train_model::hash(&training, &prepared),
+        reported: prepared.options.reported,
         version: job.version.clone(),
         inputs,
-        days,
+        days: prepared.days,
     };
     let bytes = serde_json::to_vec(&payload).map_err(Problem::internal)?;
     Ok(super::Payload { bytes, input_hash: payload.input_hash })
@@ -170,28 +179,29 @@ pub(super) async fn payload(store: &Store, job: &Job) -> Result<super::Payload, 
 pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output, Failure> {
     let payload: Payload = serde_json::from_slice(payload).map_err(train_model::science)?;
     let options = train_model::options(&payload.inputs.training(), payload.reported);
-    let selection = selection::select(&payload.days, &options, progress).map_err(|error| match error {
-        TrainingError::Cancelled => Failure::Cancelled,
-        error => Failure::Science(error.to_string()),
-    })?;
-    let picture = picture(&selection);
+    let days: Vec<&[DayRecord]> = payload.days.iter().map(Vec::as_slice).collect();
+    let selection = selection::select_pooled(&days, &options, progress).map_err(train_model::failed)?;
+    let picture = picture(&selection, payload.synthetic).map_err(|error| Failure::Science(error.to_string()))?;
+    // nothing of an elimination is drawn by lot: the seed is that of the trainings that it is for
+    let seed = payload.inputs.training().seed;
     let record = SelectionRecord {
-        station: payload.inputs.station,
+        place: payload.place,
         synthetic: payload.synthetic,
         selection,
-        provenance: json!({"version": payload.version, "input_hash": payload.input_hash}),
+        provenance: json!({"version": payload.version, "input_hash": payload.input_hash, "seed": seed}),
     };
     let results = serde_json::to_value(&record).map_err(train_model::science)?;
     Ok(Output { keep: Some(results.clone()), results, artifacts: vec![picture], ..Output::default() })
 }
 
-fn picture(selection: &FeatureSelection) -> Artifact {
-    Artifact {
+fn picture(selection: &FeatureSelection, synthetic: bool) -> Result<Artifact, DrawError> {
+    let format = ImageFormat::Svg;
+    Ok(Artifact {
         name: "picture".to_owned(),
-        media_type: "image/svg+xml".to_owned(),
-        bytes: selection_svg::draw(selection, None).into_bytes(),
+        media_type: format.media_type().to_owned(),
+        bytes: figures::of_selection(selection, None, synthetic).draw(format)?,
         ..Artifact::default()
-    }
+    })
 }
 
 /// The selection as the store keeps it.

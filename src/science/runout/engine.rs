@@ -39,7 +39,7 @@ pub(super) struct Frame<T> {
     pub(super) friction: f64,
     pub(super) sticky: bool,
     /// Volumetric plastic strain above which the affine motion of what is nearly in free fall is limited, and the share of its
-    /// speed from which on that holds.
+    /// speed from which on that holds; what is faster than free fall is limited whatever its strain.
     pub(super) limited_above: f64,
     pub(super) limited_beyond: f64,
     /// Height of the highest snow at release, m.
@@ -47,10 +47,15 @@ pub(super) struct Frame<T> {
 }
 
 impl<T> Frame<T> {
-    /// What a height in cells is multiplied with for the square of the speed from which on motion is limited, in cells a step.
-    fn fall(&self) -> f64 {
+    /// What a height in cells is multiplied with for the square of a share of the speed of free fall, in cells a step.
+    fn fall(&self, share: f64) -> f64 {
         let unit = self.time_step_s * self.time_step_s / self.mesh_m;
-        2.0 * self.gravity_m_s2 * unit * self.limited_beyond * self.limited_beyond
+        2.0 * self.gravity_m_s2 * unit * share * share
+    }
+
+    /// The same for all of that speed; in plain APIC no speed is too large.
+    fn free_fall(&self) -> f64 {
+        if self.limited_above.is_finite() { self.fall(1.0) } else { f64::INFINITY }
     }
 }
 
@@ -244,7 +249,8 @@ impl<T: Real> Engine<T> {
             offset: &self.layout.offset,
             material: &self.frame.material,
             limited_above: T::of(self.frame.limited_above),
-            fall: T::of(self.frame.fall()),
+            fall: T::of(self.frame.fall(self.frame.limited_beyond)),
+            free_fall: T::of(self.frame.free_fall()),
             top: T::of(self.frame.top_m / self.frame.mesh_m),
         }
     }
@@ -256,7 +262,8 @@ impl<T: Real> Engine<T> {
             offset: &self.layout.offset,
             material: &self.frame.material,
             limited_above: T::of(self.frame.limited_above),
-            fall: T::of(self.frame.fall()),
+            fall: T::of(self.frame.fall(self.frame.limited_beyond)),
+            free_fall: T::of(self.frame.free_fall()),
             top: T::of(self.frame.top_m / self.frame.mesh_m),
         };
         self.chunks.par_iter_mut().zip(&mut self.grids).for_each(|(chunk, grid)| {

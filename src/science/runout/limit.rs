@@ -21,20 +21,26 @@ impl<T: Real> Extremes<T> {
     }
 }
 
-/// Limits the affine motion of dilated particles that are nearly in free fall, so that no node is given a velocity outside of
-/// those of the particle's nodes (after Barth & Jespersen 1989, AIAA paper 89-0366).
+/// Limits the affine motion of dilated particles that are nearly in free fall, and of any that are faster, so that no node is
+/// given a velocity outside of those of the particle's nodes (after Barth & Jespersen 1989, AIAA paper 89-0366).
 ///
 /// At an unresolved edge the fit overshoots, and a lone particle would hand momentum to nodes that few share, again and
 /// again: grains at twice the speed of free fall come of it. What comes near to a frictionless fall from the top of the slab is
-/// on its way there; what is slower is left as it is, so that the flow does not feel the limit.
+/// on its way there; what is slower is left as it is, so that the flow does not feel the limit. Where snow shears easily a
+/// whole upper layer overshoots without coming apart: friction at the bed would make it faster than none does.
 #[inline(always)]
 pub(super) fn limit<T: Real>(step: &Step<'_, T>, block: &Block<T>, motion: &mut Motion<T>, extremes: &mut Extremes<T>) {
+    if step.free_fall == T::of(f64::INFINITY) {
+        // plain APIC
+        return;
+    }
     // no iterator: what is not inlined is not compiled for the wide registers
     for group in 0..GROUPS {
         let at = GROUP * group;
         let mut any = 0_u32;
         for k in at..at + GROUP {
-            any |= u32::from(block.plastic_strain[k] > step.limited_above);
+            let (square, drop) = square_and_drop(step, block, motion, k);
+            any |= u32::from(block.plastic_strain[k] > step.limited_above) | u32::from(square > step.free_fall * drop);
         }
         if any != 0 {
             limit_group(step, block, at, motion, extremes);
@@ -53,10 +59,9 @@ fn limit_group<T: Real>(
 ) {
     let (mut outruns, mut any) = ([false; GROUP], 0_u32);
     for k in 0..GROUP {
-        let (vx, vz) = (motion.vx[at + k], motion.vz[at + k]);
-        let z = T::of(f64::from(block.place.row[at + k])) + block.place.gz[at + k];
-        let faster = vx * vx + vz * vz > step.fall * (step.top - z);
-        outruns[k] = (block.plastic_strain[at + k] > step.limited_above) & faster;
+        let (square, drop) = square_and_drop(step, block, motion, at + k);
+        let dilated = block.plastic_strain[at + k] > step.limited_above;
+        outruns[k] = (dilated & (square > step.fall * drop)) | (square > step.free_fall * drop);
         any |= u32::from(outruns[k]);
     }
     if any == 0 {
@@ -70,6 +75,13 @@ fn limit_group<T: Real>(
     let Motion { vx, vz, lxx, lxz, lzx, lzz } = motion;
     scale(block, at, &outruns, extremes, 0, (vx, lxx, lxz));
     scale(block, at, &outruns, extremes, 1, (vz, lzx, lzz));
+}
+
+/// The square of the speed of particle `k`, and how far it is below the top, in cells and steps.
+#[inline(always)]
+fn square_and_drop<T: Real>(step: &Step<'_, T>, block: &Block<T>, motion: &Motion<T>, k: usize) -> (T, T) {
+    let z = T::of(f64::from(block.place.row[k])) + block.place.gz[k];
+    (motion.vx[k] * motion.vx[k] + motion.vz[k] * motion.vz[k], step.top - z)
 }
 
 /// Scales the gradient (along x, along z) of one component of the velocity of what outruns free fall.

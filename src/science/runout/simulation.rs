@@ -79,8 +79,8 @@ pub struct Setup {
     /// Time step, s: at most [`Setup::time_step_limit_s`].
     pub time_step_s: f64,
     /// Volumetric plastic strain above which the affine motion of a particle is limited where it comes near to the speed of a
-    /// frictionless fall from the highest snow at release, usually [`LIMITED_ABOVE`]; infinity gives plain APIC, in which lone grains may come to
-    /// twice that speed.
+    /// frictionless fall from the highest snow at release, usually [`LIMITED_ABOVE`]; what is faster than that fall is limited
+    /// whatever its strain. Infinity gives plain APIC, in which lone grains may come to twice that speed.
     pub limited_above: f64,
     /// The share of the speed of that fall above which this holds, usually [`LIMITED_BEYOND`].
     pub limited_beyond: f64,

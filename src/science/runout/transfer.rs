@@ -78,6 +78,8 @@ pub(super) struct Step<'a, T> {
     pub(super) limited_above: T,
     /// `fall (top - z)` is the square of the speed, cells a step, from which on that holds at the row `z`.
     pub(super) fall: T,
+    /// The same from which on it holds whatever the strain.
+    pub(super) free_fall: T,
     pub(super) top: T,
 }
 

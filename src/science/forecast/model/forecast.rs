@@ -59,10 +59,13 @@ pub struct TrainingWindow {
     pub first: Date,
     /// Last day.
     pub last: Date,
-    /// Number of days.
+    /// Number of days; of several stations a day counts once.
     pub days: usize,
     /// Avalanche days among them.
     pub events: usize,
+    /// Rows that it was fitted to: days of stations. 0 in a model of an earlier version, which had one station.
+    #[serde(default)]
+    pub station_days: usize,
     /// Years in which the seasons begin.
     pub seasons: Vec<i16>,
 }
@@ -74,6 +77,9 @@ pub struct SupportDay {
     pub date: Date,
     /// Whether it was an avalanche day.
     pub label: bool,
+    /// Position of its station among those that were pooled; 0 where there is one.
+    #[serde(default)]
+    pub station: usize,
 }
 
 /// What is forecast.
@@ -117,6 +123,9 @@ pub struct InputQuality {
     pub imputed: Vec<String>,
     /// Features outside of their range in training: the machine extrapolates.
     pub out_of_range: Vec<String>,
+    /// Variables of the day itself that were taken from a weather forecast and not observed.
+    #[serde(default)]
+    pub forecast_weather: Vec<String>,
 }
 
 /// A support vector and what it says.
@@ -131,6 +140,9 @@ pub struct SimilarDay {
     pub kernel: f64,
     /// `alpha y k`: what it adds to the decision value, above 0 where it speaks for an avalanche day.
     pub contribution: f64,
+    /// Position of its station among those that the model was trained on; 0 where there is one.
+    #[serde(skip)]
+    pub station: usize,
 }
 
 /// Why there is no forecast.
@@ -204,6 +216,7 @@ impl TrainedModel {
                 missing,
                 imputed: self.names(row.imputed.into_iter().filter(|&j| self.preparation.columns()[j].used)),
                 out_of_range: self.names(row.out_of_range.into_iter()),
+                forecast_weather: Vec::new(),
             },
         })
     }
@@ -229,9 +242,10 @@ impl TrainedModel {
                 label: day.label,
                 kernel,
                 contribution: coefficient * kernel,
+                station: day.station,
             })
             .collect();
-        similar.sort_by(|a, b| b.kernel.total_cmp(&a.kernel).then(a.date.cmp(&b.date)));
+        similar.sort_by(|a, b| b.kernel.total_cmp(&a.kernel).then(a.date.cmp(&b.date)).then(a.station.cmp(&b.station)));
         similar.truncate(count);
         Ok(similar)
     }
@@ -265,7 +279,7 @@ impl TrainedModel {
     }
 
     /// The features as they are computed today, which must be those of the training.
-    fn feature_set(&self) -> Result<FeatureSet, ForecastError> {
+    pub(crate) fn feature_set(&self) -> Result<FeatureSet, ForecastError> {
         let all = FeatureSet::new(self.feature_set, &self.reported);
         if all.version != self.feature_set_version {
             return Err(ForecastError::FeatureSetChanged { stored: self.feature_set_version, current: all.version });

@@ -98,11 +98,11 @@ impl Criterion {
     fn wide(&self, table: &Triangle, support: &Support, i: usize, raw: &[f64]) -> f64 {
         let kernel = Kernel::Gaussian { gamma: self.gamma };
         let row = support.row[i];
-        let distances = table.row(row);
         support.row[..i].iter().zip(&support.beta).fold(0.0, |sum, (&j, &beta)| {
             let difference = raw[row] - raw[j];
-            let without = (distances[j] - difference * difference).max(0.0);
-            sum + beta * (kernel.of_pair(without) - kernel.of_pair(distances[j]))
+            let distance = table.pair(row, j);
+            let without = (distance - difference * difference).max(0.0);
+            sum + beta * (kernel.of_pair(without) - kernel.of_pair(distance))
         })
     }
 }

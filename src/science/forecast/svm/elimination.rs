@@ -12,7 +12,6 @@ use thiserror::Error;
 use super::criterion::Criterion;
 use super::downdate::{CrossTable, Triangle};
 use super::gram::Gram;
-use super::grid::dot;
 use super::kernel::{Kernel, KernelFamily};
 use super::machine::check_features;
 use super::rows::WholeRows;
@@ -158,28 +157,30 @@ struct Path<'a> {
     training: &'a Matrix,
     held_out: &'a Matrix,
     gamma: f64,
-    kernel: Kernel,
     criterion: Criterion,
     table: Triangle,
     across: CrossTable,
     gram: Gram,
     dual: Dual,
+    /// The column that went last, which the held-out rows still have.
+    last: Option<usize>,
     kept: Vec<usize>,
     result: Elimination,
 }
 
 impl<'a> Path<'a> {
     fn new(training: &'a Matrix, labels: &[bool], held_out: &'a Matrix, recipe: &EliminationRecipe) -> Self {
-        let kernel = Kernel::Gaussian { gamma: recipe.gamma };
         let mut table = Triangle::new(training);
-        let mut gram = Gram::empty(kernel, training.rows());
+        let mut gram = Gram::empty(Kernel::Gaussian { gamma: recipe.gamma }, training.rows());
+        let dual = Dual::new(labels, Cost::balanced(recipe.c, labels));
         // takes nothing out and fills the matrix as every later step does
-        table.remove_feature(&vec![0.0; training.rows()], recipe.gamma, &mut gram);
+        table.remove_feature(&vec![0.0; training.rows()], recipe.gamma, dual.beta(), &mut gram);
         Self {
             gram,
             across: CrossTable::new(held_out, training),
             criterion: Criterion::new(training, recipe.gamma),
-            dual: Dual::new(labels, Cost::balanced(recipe.c, labels)),
+            dual,
+            last: None,
             kept: (0..training.cols()).collect(),
             result: Elimination {
                 removed: Vec::new(),
@@ -191,7 +192,6 @@ impl<'a> Path<'a> {
             gamma: recipe.gamma,
             training,
             held_out,
-            kernel,
             table,
         }
     }
@@ -206,14 +206,14 @@ impl<'a> Path<'a> {
             return Err(EliminationError::Cancelled);
         }
         let mut rows = WholeRows::new(&self.gram);
-        if !self.result.removed.is_empty() {
-            self.dual.refresh(&mut rows);
-        }
-        let effort = self.dual.solve(&mut rows, options, stop).map_err(failed)?;
-        self.result.iterations += effort.iterations;
+        self.result.iterations += self.dual.solve_fresh(&mut rows, options, stop).map_err(failed)?.iterations;
         let (beta, rho) = (self.dual.beta(), self.dual.rho());
-        let mut values = Vec::with_capacity(self.held_out.rows());
-        self.across.for_each_row(&self.kernel, |row| values.push(dot(beta, row) - rho));
+        let (held_out, training) = match self.last {
+            Some(column) => (self.held_out.column(column), self.training.column(column)),
+            None => (vec![0.0; self.held_out.rows()], vec![0.0; self.training.rows()]),
+        };
+        let mut values = self.across.remove_feature(&held_out, &training, self.gamma, beta);
+        values.iter_mut().for_each(|value| *value -= rho);
         self.result.decision_values.push(values);
         Ok(())
     }
@@ -224,8 +224,9 @@ impl<'a> Path<'a> {
         let least = (0..changes.len()).fold(0, |least, k| if changes[k] <= changes[least] { k } else { least });
         let column = self.kept.remove(least);
         let values = self.training.column(column);
-        self.across.remove_feature(&self.held_out.column(column), &values);
-        self.table.remove_feature(&values, self.gamma, &mut self.gram);
+        let products = self.table.remove_feature(&values, self.gamma, self.dual.beta(), &mut self.gram);
+        self.dual.renew(&products);
+        self.last = Some(column);
         self.result.removed.push(column);
         self.result.change.push(changes[least]);
         self.result.kept.clone_from(&self.kept);

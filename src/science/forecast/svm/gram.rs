@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::columns::{Columns, kernel_of_pairs};
 use super::kernel::{Kernel, KernelFamily};
-use super::lanes::padded;
+use super::lanes::{BLOCK, padded};
 use crate::forecast::matrix::Matrix;
 
 /// Squared distances (Gaussian) or inner products (linear) of all pairs of rows, computed once a feature set.
@@ -113,13 +113,21 @@ impl Gram {
             .reduce(|| true, |a, b| a && b);
     }
 
-    /// Lets `work` write the lower triangle, row by row (its number, its item of `rows`, the row up to the diagonal), and
-    /// mirrors it. What it writes must be finite.
-    pub(super) fn fill_symmetric<T: Send>(&mut self, rows: Vec<T>, work: impl Fn(usize, T, &mut [f32]) + Sync) {
-        let stride = self.stride.max(1);
-        let tasks = self.values.par_chunks_mut(stride).zip(rows).enumerate();
-        tasks.for_each(|(i, (row, item))| work(i, item, &mut row[..=i]));
-        mirror(&mut self.values, self.rows, self.stride);
+    /// The matrix taken apart for whoever writes the lower triangle in bands of [`TILE`] rows together with its mirror image.
+    /// What is written must be finite.
+    pub(super) fn gnomons(&mut self) -> Vec<Gnomon<'_>> {
+        let blocks = self.stride / TILE;
+        let of = |block: usize| Gnomon { across: Vec::with_capacity(TILE), down: Vec::with_capacity(block * TILE) };
+        let mut gnomons: Vec<Gnomon<'_>> = (0..blocks).map(of).collect();
+        for (i, row) in self.values.chunks_exact_mut(self.stride.max(1)).enumerate() {
+            let block = i / TILE;
+            let (across, beyond) = row.split_at_mut((block + 1) * TILE);
+            gnomons[block].across.push(across);
+            for (gnomon, piece) in gnomons[block + 1..].iter_mut().zip(beyond.chunks_exact_mut(TILE)) {
+                gnomon.down.push(piece);
+            }
+        }
+        gnomons
     }
 
     /// Number of rows (samples).
@@ -168,8 +176,16 @@ impl Gram {
     }
 }
 
-/// Rows that [`mirror`] takes at a time: a square of them stays in the first-level cache.
-const TILE: usize = 64;
+/// Rows that are taken at a time: a square of them stays in the first-level cache.
+pub(super) const TILE: usize = BLOCK;
+
+/// The part of a symmetric matrix that a band of [`TILE`] rows decides: together they are the whole, each entry once.
+pub(super) struct Gnomon<'a> {
+    /// The rows of the band up to their own tile.
+    pub(super) across: Vec<&'a mut [f32]>,
+    /// Of every row above the band the [`TILE`] entries above it.
+    pub(super) down: Vec<&'a mut [f32]>,
+}
 
 /// Side of the squares that are turned in registers.
 const SQUARE: usize = 8;

@@ -176,6 +176,14 @@ impl Dual {
         true
     }
 
+    /// The residual from the decision values without threshold of the present point, one a row: what makes a point that is kept
+    /// valid for another kernel, of which these are.
+    pub(super) fn renew(&mut self, products: &[f64]) {
+        for ((residual, target), product) in self.residual.iter_mut().zip(&self.target).zip(products) {
+            *residual = target - product;
+        }
+    }
+
     /// Largest residual of what can rise and least of what can fall: m and M of Fan, Chen & Lin (2005).
     fn extremes(&self) -> (f64, f64) {
         let most = self.residual.iter().zip(&self.rise).fold(f64::NEG_INFINITY, |m, (r, up)| m.max(r + up));
@@ -236,26 +244,10 @@ impl Dual {
         if !rows.diagonal().iter().all(|k| k.is_finite()) {
             return Err(SolverError::NotFinite);
         }
-        // an iteration reads two rows, which may have to be computed first
-        let a_look = (WORK_A_LOOK / (2 * rows.row_work()).max(1)).clamp(1, ITERATIONS_A_LOOK);
         let mut iterations = 0;
         let mut gap = f64::INFINITY;
         for _ in 0..MAX_REFRESHES {
-            loop {
-                let budget = a_look.min(options.max_iterations - iterations);
-                let (done, finished) = descend(self, rows, options.epsilon, budget);
-                iterations += done;
-                if finished {
-                    break;
-                }
-                if stop() {
-                    return Err(SolverError::Cancelled);
-                }
-                if iterations >= options.max_iterations {
-                    let (most, least) = self.extremes();
-                    return Err(SolverError::TooManyIterations { iterations, gap: most - least });
-                }
-            }
+            self.descend_fully(rows, options, &mut iterations, stop)?;
             if !self.refresh_unless(rows, stop) {
                 return Err(SolverError::Cancelled);
             }
@@ -269,6 +261,61 @@ impl Dual {
             }
         }
         Err(SolverError::NotConverged { gap })
+    }
+
+    /// As [`Self::solve`], from a residual that was just computed afresh: it is computed afresh at the end only where what
+    /// rounding may have added on the way could matter.
+    ///
+    /// # Errors
+    /// As [`Self::solve`].
+    pub(super) fn solve_fresh(
+        &mut self,
+        rows: &mut dyn Rows,
+        options: &SolverOptions,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Effort, SolverError> {
+        /// Share of the tolerance that rounding may take.
+        const SHARE: f64 = 1e-3;
+        let mut iterations = 0;
+        self.descend_fully(rows, options, &mut iterations, stop)?;
+        // a residual never exceeds 1 and the kernel (at most the diagonal) times all that beta can hold, and a step rounds its
+        // entries three times
+        let room: f64 = self.upper.iter().zip(&self.lower).map(|(upper, lower)| upper - lower).sum();
+        let largest = rows.diagonal().iter().fold(1.0, |most: f64, &k| most.max(f64::from(k)));
+        let rounding = 3.0 * iterations as f64 * f64::EPSILON * (1.0 + largest * room);
+        let (most, least) = self.extremes();
+        if most - least < options.epsilon && rounding < SHARE * options.epsilon {
+            return Ok(Effort { iterations, gap: most - least });
+        }
+        let rest = self.solve(rows, options, stop)?;
+        Ok(Effort { iterations: iterations + rest.iterations, ..rest })
+    }
+
+    /// Descends until the running gap is below the tolerance; counts the iterations.
+    fn descend_fully(
+        &mut self,
+        rows: &mut dyn Rows,
+        options: &SolverOptions,
+        iterations: &mut usize,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<(), SolverError> {
+        // an iteration reads two rows, which may have to be computed first
+        let a_look = (WORK_A_LOOK / (2 * rows.row_work()).max(1)).clamp(1, ITERATIONS_A_LOOK);
+        loop {
+            let budget = a_look.min(options.max_iterations - *iterations);
+            let (done, finished) = descend(self, rows, options.epsilon, budget);
+            *iterations += done;
+            if finished {
+                return Ok(());
+            }
+            if stop() {
+                return Err(SolverError::Cancelled);
+            }
+            if *iterations >= options.max_iterations {
+                let (most, least) = self.extremes();
+                return Err(SolverError::TooManyIterations { iterations: *iterations, gap: most - least });
+            }
+        }
     }
 }
 
