@@ -10,7 +10,7 @@ use crate::{
     clock,
     domain::{
         avalanche::AvalancheRecord,
-        ids::StationId,
+        ids::{Place, StationId},
         job::{Job, Labels, Priority, Wanted},
         station::{Station, StationBody},
     },
@@ -18,6 +18,7 @@ use crate::{
     server::ServerError,
     store::{
         StoreError,
+        audit::Actor,
         jobs::Answer,
         observations::{Author, DayWrite},
     },
@@ -44,7 +45,7 @@ pub async fn start(state: &AppState, address: SocketAddr) -> Result<(), ServerEr
         "name": "Synthetic station (generated data, not a real place)", "timezone": "UTC",
     }))?;
     let permits = |before: Option<&Station>| before.is_none_or(|station| station.synthetic);
-    match state.store.put_station(&id, &body, true, clock::now(), permits).await {
+    match state.store.put_station(&id, &body, true, &Actor::service(clock::now()), permits).await {
         Ok(_) => {}
         Err(StoreError::Precondition) => {
             return Err(
@@ -57,7 +58,7 @@ pub async fn start(state: &AppState, address: SocketAddr) -> Result<(), ServerEr
     let writes = days.iter().map(write).collect::<Vec<_>>();
     let author = Author { name: None, at: clock::now(), source: "synthetic" };
     state.store.put_days(&id, &writes, &author).await?;
-    if state.store.active_model(&id, 0).await?.is_none() {
+    if state.store.active_model(&Place::Station(id.clone()), 0).await?.is_none() {
         let inputs = json!({"station": STATION, "label": "observed", "lead": 0});
         let submission = Submission {
             process: Process::TrainModel,

@@ -71,14 +71,14 @@ fn goodness(values: Vec<f64>) -> Outcome<()> {
     Ok(())
 }
 
-/// One null, so that what is timed is the pairs of the points and little else.
+/// With all that the analysis does: null, interior, dimension and its error.
 fn correlation(path: &Path) -> Outcome<()> {
     let numbers = std::fs::read_to_string(path)?;
     let numbers = numbers.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>()?;
     let points: Vec<[f64; 3]> = numbers.as_chunks::<3>().0.to_vec();
-    let options = CorrelationOptions { r_min_m: Some(1e-3), r_max_m: Some(1.8), nulls: 1, ..Default::default() };
+    let options = CorrelationOptions { r_min_m: Some(1e-3), r_max_m: Some(1.8), ..Default::default() };
     let start = Instant::now();
-    let found = correlation_integral(&points, None, None, &options, 1, &Unobserved)?;
+    let found = correlation_integral(&points, None, None, &options, &Unobserved)?;
     let seconds = start.elapsed().as_secs_f64();
     let pairs: Vec<u64> = found.points.iter().map(|point| point.pairs).collect();
     let radii: Vec<f64> = found.points.iter().map(|point| point.r_m).collect();

@@ -12,7 +12,11 @@ use std::{
 
 use firn::{
     config::{Config, Settings},
-    domain::{avalanche::AvalancheRecord, ids::StationId, observation::Observation},
+    domain::{
+        avalanche::AvalancheRecord,
+        ids::{Place, StationId},
+        observation::Observation,
+    },
     formats::observations_csv,
     science::forecast::{
         day::{DayRecord, season_of},
@@ -233,7 +237,7 @@ async fn forecast(service: &Service, store: &Store) -> Outcome<()> {
     let http = timed(CALLS, |number| async move { answer(service.get(&similar(number))).await.map(drop) }).await?;
     report("similar days over HTTP", &http, None);
 
-    let active = store.active_model(&station, 0).await?.ok_or("no active model")?;
+    let active = store.active_model(&Place::Station(station.clone()), 0).await?.ok_or("no active model")?;
     let model = store.trained_model(active.model).await?.ok_or("no model")?;
     let (model, season) = (&model, &season);
     let inside = timed(CALLS, |number| async move {

@@ -9,12 +9,15 @@ use axum::{
     response::Response,
 };
 
-use super::{AppState, problem::ApiError};
+use super::{
+    AppState,
+    problem::{ApiError, REQUEST_ID},
+};
 use crate::{
     clock,
     config::Config,
     domain::problem::{Code, Problem},
-    store::keys::Role,
+    store::{audit::Actor, keys::Role},
 };
 
 /// Who sent a request.
@@ -23,6 +26,14 @@ pub struct Caller {
     /// The name of the key; none where no key was needed.
     pub name: Option<String>,
     role: Role,
+}
+
+impl Caller {
+    /// The caller as the audit names them, now.
+    #[must_use]
+    pub fn actor(&self) -> Actor {
+        Actor { name: self.name.clone(), trace: REQUEST_ID.try_with(Clone::clone).ok(), at: clock::now() }
+    }
 }
 
 impl<S: Sync> FromRequestParts<S> for Caller {
@@ -71,9 +82,15 @@ fn is_public(path: &str) -> bool {
 fn role_for(method: &Method, path: &str) -> Role {
     // a what-if is a question with a body: nothing of it is stored
     let asks = path.starts_with("/v1/stations/") && path.ends_with("/forecasts/what-if");
-    if *method == Method::GET || *method == Method::HEAD || *method == Method::OPTIONS || asks {
+    if path == "/v1/audit" {
+        Role::Operator
+    } else if *method == Method::GET || *method == Method::HEAD || *method == Method::OPTIONS || asks {
         Role::Reader
-    } else if path.ends_with("/active-model") {
+    } else if path.ends_with("/active-model")
+        || path.ends_with("/active-model/rollback")
+        || path.starts_with("/v1/regions/")
+        || (path.starts_with("/v1/stations/") && path.contains("/proposals/"))
+    {
         Role::Operator
     } else {
         Role::Forecaster

@@ -24,7 +24,7 @@ use super::{
 use crate::{
     clock,
     domain::{
-        dataset::{ColumnStatistics, Dataset, DatasetBody, DatasetName, Source, WaveformOrigin},
+        dataset::{ColumnStatistics, Dataset, DatasetBody, DatasetName, LocationOrigin, Source, WaveformOrigin},
         problem::{Code, Problem},
     },
     formats::emission::{AmplitudeUnit, FileFormat, ReadOptions, WaveOptions},
@@ -170,6 +170,8 @@ pub struct DatasetResource {
     source: Source,
     /// How its hits were found in waveforms, and how they hang on threshold and time constants; null where they came as hits.
     waveform: Option<WaveformOrigin>,
+    /// How its events were made of the hits of another data set; null where they were not located here.
+    location: Option<LocationOrigin>,
     /// What is known about the test.
     metadata: Metadata,
     /// What is true of it, where a generator made it; null for measurements.
@@ -213,6 +215,7 @@ impl From<Dataset> for DatasetResource {
             notes: dataset.description.notes,
             source: dataset.description.source,
             waveform: dataset.description.waveform,
+            location: dataset.description.location,
             metadata: dataset.body.metadata,
             truth: dataset.truth,
             job: dataset.job,

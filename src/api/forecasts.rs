@@ -1,6 +1,6 @@
 //! `/v1/stations/{station}/forecasts`: what the active model says of a day, and which past days speak for it.
 
-use std::sync::Arc;
+use std::{collections::HashMap, sync::Arc};
 
 use axum::{extract::State, response::Response};
 use jiff::{ToSpan, civil};
@@ -22,15 +22,16 @@ use crate::{
     clock,
     domain::{
         avalanche::AvalancheRecord,
-        ids::StationId,
+        ids::{Place, RegionId, StationId},
         problem::{Code, Problem},
+        region::Region,
         station::Station,
     },
     science::forecast::{
         day::{DayRecord, season_of},
         model::{Category, Explanation, Forecast, ForecastError, InputQuality, SimilarDay, TrainedModel},
     },
-    store::observations::StoredDay,
+    store::{models::ModelRecord, observations::StoredDay},
 };
 
 /// Days between the last observation and the day that is forecast.
@@ -75,7 +76,7 @@ pub struct ForecastQuery {
     #[serde(default)]
     #[param(value_type = Option<String>, pattern = "^(observed|forecast)$", default = "observed")]
     weather: Weather,
-    /// A model other than the active one; it must be of this station and lead.
+    /// A model other than the active one; it must be of this lead, and of this station or a region that it belongs to.
     #[serde(default)]
     model_id: Option<Uuid>,
 }
@@ -93,7 +94,7 @@ pub struct SimilarQuery {
     #[serde(default)]
     #[param(value_type = Option<String>, pattern = "^(observed|forecast)$", default = "observed")]
     weather: Weather,
-    /// A model other than the active one; it must be of this station and lead.
+    /// A model other than the active one; it must be of this lead, and of this station or a region that it belongs to.
     #[serde(default)]
     model_id: Option<Uuid>,
     /// Largest number of days in the answer, 1 to 1000.
@@ -119,7 +120,7 @@ pub struct ForecastsQuery {
     #[serde(default)]
     #[param(value_type = Option<u8>, minimum = 0, maximum = 1, default = 0)]
     lead: Lead,
-    /// A model other than the active one; it must be of this station and lead.
+    /// A model other than the active one; it must be of this lead, and of this station or a region that it belongs to.
     #[serde(default)]
     model_id: Option<Uuid>,
 }
@@ -129,6 +130,9 @@ pub struct ForecastsQuery {
 pub struct ForecastResource {
     /// The station.
     station: StationId,
+    /// The region whose model spoke, as the station has none of its own: the probability is that of an avalanche day of the
+    /// region. Null where the station's own model spoke.
+    region: Option<RegionId>,
     /// True where the station or the model is made of data from a generator: no forecast of a real place.
     synthetic: bool,
     /// The day that is forecast.
@@ -192,6 +196,8 @@ pub struct SimilarDays {
 /// A past day that is similar, and what avalanches it had.
 #[derive(Serialize, ToSchema)]
 pub struct SimilarDayResource {
+    /// The station whose day it was: another one only where the model is that of a region.
+    station: StationId,
     /// The day and what it adds.
     #[serde(flatten)]
     day: SimilarDay,
@@ -220,11 +226,15 @@ pub struct ForecastExplanation {
 /// The model that is to speak, and where its words come from.
 pub(super) struct Speaker {
     pub(super) station: Station,
+    /// The region whose model it is; none: the station's own.
+    pub(super) region: Option<Region>,
     /// Days between the last observation that is read and the day that is forecast.
     pub(super) lead: u8,
     pub(super) weather: Weather,
     pub(super) id: Uuid,
     pub(super) model: Arc<TrainedModel>,
+    /// The stations that it was trained on, in the order of the training.
+    trained_on: Vec<StationId>,
     provenance: Value,
     pub(super) synthetic: bool,
 }
@@ -240,22 +250,46 @@ impl Speaker {
         let lead = lead.0;
         let of_model = model_lead(lead, weather)?;
         let station = state.station(station).await?;
-        let id = match model {
-            Some(id) => id,
-            None => match state.store.active_model(&station.id, of_model).await? {
-                Some(activation) => activation.model,
-                None => return Err(models::none_active(&station.id, of_model).into()),
-            },
+        let (id, region) = match model {
+            Some(id) => (id, None),
+            None => active(state, &station, of_model).await?,
         };
         let record = state.store.model(id).await?.ok_or_else(|| models::unknown(id))?;
-        if record.station != station.id || record.lead != of_model {
-            let detail = format!("must be a model of station {} and lead {of_model}", station.id);
+        let region = match (&record.place, region) {
+            (Place::Region(id), None) => state.store.region(id).await?,
+            (_, region) => region,
+        };
+        let fits = match (&record.place, &region) {
+            (Place::Station(id), _) => *id == station.id,
+            (Place::Region(_), region) => {
+                region.as_ref().is_some_and(|region| region.body.stations.contains(&station.id))
+            }
+        };
+        if !fits || record.lead != of_model {
+            let detail = format!(
+                "must be a model of lead {of_model}, and of station {} or a region that it belongs to",
+                station.id
+            );
             return Err(Problem::field(Code::ModelMismatch, "/model_id", "model_mismatch", detail).into());
         }
-        let model = state.store.trained_model(id).await?.ok_or_else(|| models::unknown(id))?;
-        let part = |name: &str| record.summary.get(name).cloned().unwrap_or(Value::Null);
-        let synthetic = station.synthetic || part("synthetic").as_bool().unwrap_or(false);
-        Ok(Self { station, lead, weather, id, model, provenance: part("provenance"), synthetic })
+        Self::of(state, station, region, &record, lead, weather).await
+    }
+
+    /// The model of a record, which must be of the station, or of the region that is given, and of the lead of the model
+    /// that speaks for `lead` and `weather`.
+    pub(super) async fn of(
+        state: &AppState,
+        station: Station,
+        region: Option<Region>,
+        record: &ModelRecord,
+        lead: u8,
+        weather: Weather,
+    ) -> ApiResult<Self> {
+        let model = state.store.trained_model(record.id).await?.ok_or_else(|| models::unknown(record.id))?;
+        let provenance = record.summary.get("provenance").cloned().unwrap_or(Value::Null);
+        let synthetic = station.synthetic || record.is_synthetic();
+        let (id, trained_on) = (record.id, record.stations());
+        Ok(Self { station, region, lead, weather, id, model, trained_on, provenance, synthetic })
     }
 
     /// What the model reads for the forecasts of `first` to `last`: no feature reaches beyond the edge of a season.
@@ -265,9 +299,15 @@ impl Speaker {
         first: civil::Date,
         last: civil::Date,
     ) -> ApiResult<Vec<DayRecord>> {
-        let base = before(first, self.lead)?;
-        let from = civil::Date::new(season_of(base), 7, 1).unwrap_or(base);
-        Ok(state.store.day_records(&self.station.id, from, last).await?)
+        let from = season_begins(before(first, self.lead)?);
+        let Some(region) = &self.region else {
+            return Ok(state.store.day_records(&self.station.id, from, last).await?);
+        };
+        // the avalanches that a model of a region knows of are those of the region
+        let days = state.store.regional_days(region, self.model.label, from, last).await?;
+        let mut stations = region.body.stations.iter().zip(days);
+        let own = stations.find(|(id, _)| **id == self.station.id);
+        Ok(own.map(|(_, days)| days).unwrap_or_default())
     }
 
     /// What the model reads for the forecast of `date`: with [`Weather::Forecast`] also the weather forecast of that day.
@@ -303,6 +343,7 @@ impl Speaker {
         }
         ForecastResource {
             station: self.station.id.clone(),
+            region: self.region.as_ref().map(|region| region.id.clone()),
             synthetic: self.synthetic,
             date: Date(forecast.date),
             lead: self.lead,
@@ -379,14 +420,34 @@ pub(super) fn model_lead(lead: u8, weather: Weather) -> Result<u8, Problem> {
     }
 }
 
-fn before(date: civil::Date, days: u8) -> Result<civil::Date, Problem> {
+/// The active model of a station; of one that has none, that of the first of its regions that has.
+async fn active(state: &AppState, station: &Station, lead: u8) -> ApiResult<(Uuid, Option<Region>)> {
+    let place = Place::Station(station.id.clone());
+    if let Some(activation) = state.store.active_model(&place, lead).await? {
+        return Ok((activation.model, None));
+    }
+    for region in state.store.regions_of(&station.id).await? {
+        if let Some(activation) = state.store.active_model(&Place::Region(region.id.clone()), lead).await? {
+            return Ok((activation.model, Some(region)));
+        }
+    }
+    Err(models::none_active(&place, lead).into())
+}
+
+/// The first day of the season of a day.
+pub(super) fn season_begins(date: civil::Date) -> civil::Date {
+    civil::Date::new(season_of(date), 7, 1).unwrap_or(date)
+}
+
+pub(super) fn before(date: civil::Date, days: u8) -> Result<civil::Date, Problem> {
     date.checked_sub(i64::from(days).days()).map_err(|_| {
         let detail = format!("there is no day {days} day(s) before {date}");
         Problem::field(Code::InvalidParameter, "/date", "out_of_range", detail)
     })
 }
 
-/// The forecast of a day by the active model, or by `model_id`. It is computed from what is stored now.
+/// The forecast of a day by the active model, or by `model_id`. It is computed from what is stored now. A station without an
+/// active model of its own is forecast by that of the first of its regions that has one; `region` says so.
 #[utoipa::path(get, path = "/v1/stations/{station}/forecasts/{date}", operation_id = "get_forecast", tag = "forecasts",
     params(DayPath, ForecastQuery), responses((status = 200, description = "The forecast.", body = ForecastResource)))]
 pub async fn get_forecast(
@@ -431,7 +492,7 @@ pub async fn list_forecasts(
     };
     let first = match query.from {
         Some(from) => from.0,
-        None => civil::Date::new(season_of(last), 7, 1).unwrap_or(last),
+        None => season_begins(last),
     };
     let length = (last - first).get_days();
     if !(0..=LONGEST_DAYS).contains(&length) {
@@ -505,9 +566,19 @@ pub async fn list_similar_days(
         Ok(days) => days,
         Err(error) => return Err(speaker.refuse(&state, error).await?.into()),
     };
-    let dates: Vec<civil::Date> = days.iter().map(|day| day.date).collect();
-    let records = state.store.avalanches_on(&speaker.station.id, &dates).await?;
-    let resource = |day: SimilarDay| SimilarDayResource { avalanches: records.get(&day.date).copied(), day };
+    let station_of = |day: &SimilarDay| speaker.trained_on.get(day.station).unwrap_or(&speaker.station.id).clone();
+    let mut dates: HashMap<StationId, Vec<civil::Date>> = HashMap::new();
+    days.iter().for_each(|day| dates.entry(station_of(day)).or_default().push(day.date));
+    let mut records = HashMap::new();
+    for (station, dates) in dates {
+        let of_station = state.store.avalanches_on(&station, &dates).await?;
+        records.insert(station, of_station);
+    }
+    let resource = |day: SimilarDay| {
+        let station = station_of(&day);
+        let avalanches = records.get(&station).and_then(|of_station| of_station.get(&day.date)).copied();
+        SimilarDayResource { station, avalanches, day }
+    };
     let similar_days = days.into_iter().map(resource).collect();
     let answer = SimilarDays {
         station: speaker.station.id.clone(),

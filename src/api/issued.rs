@@ -202,6 +202,7 @@ pub async fn issue_forecast(
         lead: speaker.lead,
         forecast_weather: with_weather,
         model: speaker.id,
+        region: speaker.region.as_ref().map(|region| region.id.clone()),
         probability: forecast.probability,
         warned: forecast.category == Category::AvalancheDay,
         base_rate: speaker.model.base_rate,

@@ -1,5 +1,7 @@
 //! HTTP: one file a resource, each with its parameters, request, response and handlers; [`router`] lists them all.
 
+mod active_models;
+mod audit;
 pub mod auth;
 mod avalanches;
 mod bulletins;
@@ -24,12 +26,16 @@ pub mod openapi;
 mod overview;
 pub mod problem;
 mod processes;
+mod proposals;
+mod region_forecasts;
+mod regions;
 mod respond;
 mod router;
 mod scenarios;
 mod selections;
 mod spool;
 pub(crate) mod stations;
+mod transfers;
 mod verification;
 mod what_if;
 
@@ -74,6 +80,18 @@ impl AppState {
         station.ok_or_else(|| {
             let detail = format!("there is no station {id}; create it with PUT /v1/stations/{id}");
             Problem::new(Code::UnknownStation, detail).into()
+        })
+    }
+
+    /// The region of that name, or the problem that it is not there.
+    async fn region(
+        &self,
+        id: &crate::domain::ids::RegionId,
+    ) -> Result<crate::domain::region::Region, problem::ApiError> {
+        let region = self.store.region(id).await?;
+        region.ok_or_else(|| {
+            let detail = format!("there is no region {id}; create it with PUT /v1/regions/{id}");
+            Problem::new(Code::UnknownRegion, detail).into()
         })
     }
 }

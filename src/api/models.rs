@@ -1,6 +1,6 @@
-//! `/v1/models` and a station's active model: the registry.
+//! `/v1/models`: the registry of what was trained.
 
-use axum::{extract::State, http::StatusCode, response::Response};
+use axum::{extract::State, response::Response};
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -9,24 +9,21 @@ use uuid::Uuid;
 
 use super::{
     AppState,
-    auth::Caller,
-    extract::{Conditions, JsonBody, Path, Query},
+    extract::{Conditions, Path, Query},
     feature_sets::FeatureSetResource,
     forecasts::Lead,
     landing::Link,
     problem::ApiResult,
     respond,
-    stations::{Limit, StationPath},
+    stations::Limit,
 };
 use crate::{
-    clock,
     domain::{
-        ids::StationId,
+        ids::{Place, RegionId, StationId},
         problem::{Code, Problem},
-        station::Station,
     },
     science::forecast::{evaluation::Evaluation, features::FeatureSet},
-    store::models::{Activation, ModelRecord},
+    store::models::ModelRecord,
 };
 
 /// Which model.
@@ -47,6 +44,10 @@ pub struct ModelsQuery {
     #[serde(default)]
     #[param(inline)]
     station: Option<StationId>,
+    /// Only models of this region; not together with `station`.
+    #[serde(default)]
+    #[param(inline)]
+    region: Option<RegionId>,
     /// Largest number of models in the answer, 1 to 1000.
     #[serde(default)]
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1000, default = 100)]
@@ -72,8 +73,10 @@ pub struct LeadQuery {
 pub struct ModelResource {
     /// Id of the model.
     id: Uuid,
-    /// The station that it was trained for.
-    station: StationId,
+    /// The station that it was trained for; null for a model of a region.
+    station: Option<StationId>,
+    /// The region that it was trained for; null for a model of a station.
+    region: Option<RegionId>,
     /// True where it was trained on data that a generator made.
     synthetic: bool,
     /// Days between the last observation and the day that is forecast.
@@ -105,25 +108,6 @@ pub struct ModelList {
     next: Option<Uuid>,
 }
 
-/// Which model forecasts for a station.
-#[derive(Serialize, ToSchema)]
-pub struct ActiveModel {
-    /// The station.
-    station: StationId,
-    /// True where the station's data were made by a generator.
-    synthetic: bool,
-    /// Days between the last observation and the day that is forecast.
-    lead: u8,
-    /// The model.
-    model_id: Uuid,
-    /// Since when.
-    activated: Timestamp,
-    /// The name of the key that activated it; null for a first model and where no key was needed.
-    activated_by: Option<String>,
-    /// Where to go from here.
-    links: Vec<Link>,
-}
-
 /// How good a model is.
 #[derive(Serialize, ToSchema)]
 pub struct EvaluationResource {
@@ -149,25 +133,18 @@ pub struct ModelFeatures {
     set: FeatureSetResource,
 }
 
-/// The model to make the active one.
-#[derive(Debug, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ActivateBody {
-    /// Id of a model of this station and lead.
-    model_id: Uuid,
-}
-
 impl From<ModelRecord> for ModelResource {
     fn from(record: ModelRecord) -> Self {
         let at = format!("/v1/models/{}", record.id);
         let part = |name: &str| record.summary.get(name).cloned().unwrap_or(Value::Null);
         Self {
             id: record.id,
-            synthetic: is_synthetic(&record),
+            synthetic: record.is_synthetic(),
             training: part("training"),
             scores: part("scores"),
             provenance: part("provenance"),
-            station: record.station,
+            station: record.place.station().cloned(),
+            region: record.place.region().cloned(),
             lead: record.lead,
             job: record.job,
             created: record.created,
@@ -176,6 +153,7 @@ impl From<ModelRecord> for ModelResource {
                     Link::json(at.clone(), "self", "this document"),
                     Link::json(format!("{at}/evaluation"), "evaluation", "its scores beside those of other models"),
                     Link::json(format!("{at}/features"), "features", "its features"),
+                    Link::json(format!("{at}/transfers"), "transfers", "how it did at other stations"),
                 ];
                 let selection = || Link::json(format!("{at}/selection"), "selection", "how its features were chosen");
                 links.extend(record.selection.is_some().then(selection));
@@ -183,26 +161,6 @@ impl From<ModelRecord> for ModelResource {
             },
         }
     }
-}
-
-fn is_synthetic(model: &ModelRecord) -> bool {
-    model.summary.get("synthetic").and_then(Value::as_bool).unwrap_or(false)
-}
-
-fn active(station: Station, lead: u8, activation: Activation) -> ActiveModel {
-    ActiveModel {
-        synthetic: station.synthetic,
-        links: vec![Link::json(format!("/v1/models/{}", activation.model), "model", "the model")],
-        station: station.id,
-        lead,
-        model_id: activation.model,
-        activated: activation.activated,
-        activated_by: activation.activated_by,
-    }
-}
-
-fn tag(activation: &Activation) -> String {
-    format!("\"{}\"", activation.sequence)
 }
 
 pub async fn find(state: &AppState, id: Uuid) -> ApiResult<ModelRecord> {
@@ -215,9 +173,9 @@ pub fn unknown(id: Uuid) -> Problem {
     Problem::new(Code::UnknownModel, format!("there is no model {id}; GET /v1/models lists them"))
 }
 
-/// 404 for a station without an active model of that lead.
-pub fn none_active(station: &StationId, lead: u8) -> Problem {
-    let detail = format!("{station} has no active model of lead {lead}: train one with the process train-model");
+/// 404 for a station or region without an active model of that lead.
+pub fn none_active(place: &Place, lead: u8) -> Problem {
+    let detail = format!("{place} has no active model of lead {lead}: train one with the process train-model");
     Problem::new(Code::NoActiveModel, detail)
 }
 
@@ -230,15 +188,26 @@ pub async fn list_models(
     conditions: Conditions,
 ) -> ApiResult<Response> {
     let limit = Limit::or_default(query.limit);
-    let mut models = state.store.models(query.station.as_ref(), query.cursor, limit + 1).await?;
+    let place = match (query.station, query.region) {
+        (Some(_), Some(_)) => {
+            let detail = "must be left out where a station is named";
+            return Err(Problem::field(Code::InvalidParameter, "/region", "contradiction", detail).into());
+        }
+        (station, region) => station.map(Place::Station).or(region.map(Place::Region)),
+    };
+    let mut models = state.store.models(place.as_ref(), query.cursor, limit + 1).await?;
     let more = models.len() > limit as usize;
     models.truncate(limit as usize);
     let next = models.last().filter(|_| more).map(|model| model.id);
     let list = ModelList { models: models.into_iter().map(Into::into).collect(), next };
     let mut response = respond::resource(&conditions, &list)?;
     if let Some(cursor) = next {
-        let station = query.station.map_or_else(String::new, |station| format!("&station={station}"));
-        respond::link_next(&mut response, &format!("/v1/models?limit={limit}&cursor={cursor}{station}"));
+        let of = match place {
+            Some(Place::Station(station)) => format!("&station={station}"),
+            Some(Place::Region(region)) => format!("&region={region}"),
+            None => String::new(),
+        };
+        respond::link_next(&mut response, &format!("/v1/models?limit={limit}&cursor={cursor}{of}"));
     }
     Ok(response)
 }
@@ -267,7 +236,7 @@ pub async fn get_evaluation(
 ) -> ApiResult<Response> {
     let model = find(&state, path.model).await?;
     let evaluation = state.store.model_evaluation(model.id).await?.ok_or_else(|| unknown(path.model))?;
-    let synthetic = is_synthetic(&model);
+    let synthetic = model.is_synthetic();
     respond::resource(&conditions, &EvaluationResource { model_id: model.id, synthetic, evaluation })
 }
 
@@ -283,52 +252,5 @@ pub async fn get_features(
     let model = state.store.trained_model(record.id).await?.ok_or_else(|| unknown(path.model))?;
     let all = FeatureSet::new(model.feature_set, &model.reported);
     let set = FeatureSetResource::from(&all.only(&model.features).map_err(Problem::internal)?);
-    respond::resource(&conditions, &ModelFeatures { model_id: record.id, synthetic: is_synthetic(&record), set })
-}
-
-/// Which model forecasts for a station.
-#[utoipa::path(get, path = "/v1/stations/{station}/active-model", operation_id = "get_active_model", tag = "models",
-    params(StationPath, LeadQuery), responses((status = 200, description = "The active model.", body = ActiveModel)))]
-pub async fn get_active_model(
-    State(state): State<AppState>,
-    Path(path): Path<StationPath>,
-    Query(query): Query<LeadQuery>,
-    conditions: Conditions,
-) -> ApiResult<Response> {
-    let station = state.station(&path.station).await?;
-    let lead = query.lead.0;
-    let activation = state.store.active_model(&station.id, lead).await?;
-    let activation = activation.ok_or_else(|| none_active(&station.id, lead))?;
-    let tag = tag(&activation);
-    respond::tagged(&conditions, StatusCode::OK, &tag, &active(station, lead, activation))
-}
-
-/// Makes a model the one that forecasts for its station.
-#[utoipa::path(put, path = "/v1/stations/{station}/active-model", operation_id = "put_active_model", tag = "models",
-    params(StationPath, LeadQuery), request_body = ActivateBody,
-    responses((status = 200, description = "The active model now.", body = ActiveModel)))]
-pub async fn put_active_model(
-    State(state): State<AppState>,
-    Path(path): Path<StationPath>,
-    Query(query): Query<LeadQuery>,
-    conditions: Conditions,
-    caller: Caller,
-    JsonBody(body): JsonBody<ActivateBody>,
-) -> ApiResult<Response> {
-    let station = state.station(&path.station).await?;
-    let lead = query.lead.0;
-    let model = state.store.model(body.model_id).await?;
-    let fits = model.is_some_and(|model| model.station == station.id && model.lead == lead);
-    if !fits {
-        let detail = format!(
-            "must be a model of station {} and lead {lead}; GET /v1/models?station={} lists them",
-            station.id, station.id
-        );
-        return Err(Problem::field(Code::ModelMismatch, "/model_id", "model_mismatch", detail).into());
-    }
-    let permits = |before: Option<&Activation>| conditions.permit_write(before.map(tag).as_deref());
-    let by = caller.name.as_deref();
-    let activation = state.store.activate_model(&station.id, lead, body.model_id, by, clock::now(), permits).await?;
-    let tag = tag(&activation);
-    respond::tagged(&Conditions::default(), StatusCode::OK, &tag, &active(station, lead, activation))
+    respond::resource(&conditions, &ModelFeatures { model_id: record.id, synthetic: record.is_synthetic(), set })
 }

@@ -33,6 +33,7 @@ use crate::domain::problem::FieldError;
         (name = "stations", description = "Places where somebody observes weather and snow every day."),
         (name = "observations", description = "Days of weather and snowpack, and their avalanches."),
         (name = "forecasts", description = "What the active model says of a day."),
+        (name = "regions", description = "Several stations that feed one model, and what it says of them."),
         (name = "models", description = "Trained models, their evaluation and features."),
         (name = "datasets", description = "Catalogues of acoustic emission."),
         (name = "processes", description = "What can be executed as a job (OGC API - Processes Part 1)."),
@@ -101,6 +102,13 @@ fn complete(document: &mut utoipa::openapi::OpenApi) {
             );
             header(put, "if-none-match", ENTITY_TAGS, "`*`: write only what is not there yet. Else 412.");
         }
+        let rolls_back =
+            |post: &&mut Operation| post.operation_id.as_deref().is_some_and(|id| id.starts_with("roll_back"));
+        if let Some(post) = item.post.as_mut().filter(rolls_back) {
+            let about =
+                "Go back only from one of these versions (`ETag` of the active model); `*`: from any. Else 412.";
+            header(post, "if-match", ENTITY_TAGS, about);
+        }
     }
 }
 
@@ -129,6 +137,8 @@ fn further_refusals(operation_id: Option<&str>) -> &'static [&'static str] {
         Some("dismiss_job") => &["409", "412"],
         Some("execute_process" | "put_forecaster_call" | "put_observation" | "import_observations") => &["409"],
         Some("issue_forecast") => &["409", "422"],
+        Some("roll_back_model" | "roll_back_region_model") => &["409", "412"],
+        Some("accept_proposal" | "decline_proposal" | "accept_region_proposal" | "decline_region_proposal") => &["409"],
         Some("list_observations" | "list_hits" | "get_dataset_picture" | "get_model_selection") => &["406"],
         Some("delete_dataset") => &["412"],
         Some("get_job_frame") => &["406", "422"],

@@ -22,13 +22,13 @@ use utoipa::OpenApi;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    AppState, auth, avalanches, bulletins, dataset_hits, datasets, docs,
+    AppState, active_models, audit, auth, avalanches, bulletins, dataset_hits, datasets, docs,
     extract::BodyLimit,
     feature_sets, forecasts, health, imports, issued, job_frames, job_history,
     job_results::{self, REPR_DIGEST},
     jobs, landing, metrics, models, observations, openapi, overview,
     problem::{ApiError, REQUEST_ID, from_panic},
-    processes, scenarios, selections, stations, verification, what_if,
+    processes, proposals, region_forecasts, regions, scenarios, selections, stations, transfers, verification, what_if,
 };
 use crate::domain::{
     ids::new_id,
@@ -54,6 +54,7 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(docs::openapi_json))
         .routes(routes!(docs::list_problems))
         .routes(routes!(docs::get_problem))
+        .routes(routes!(audit::list_audit))
         // OGC API - Processes
         .routes(routes!(landing::landing_page))
         .routes(routes!(landing::conformance))
@@ -92,8 +93,21 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(models::get_evaluation))
         .routes(routes!(models::get_features))
         .routes(routes!(selections::get_selection))
-        .routes(routes!(models::get_active_model, models::put_active_model))
         .routes(routes!(overview::list_station_forecasts))
+        .routes(routes!(transfers::list_transfers))
+        .routes(routes!(active_models::get_active_model, active_models::put_active_model))
+        .routes(routes!(active_models::roll_back_model))
+        .routes(routes!(proposals::list_proposals))
+        .routes(routes!(proposals::accept_proposal))
+        .routes(routes!(proposals::decline_proposal))
+        .routes(routes!(regions::list_regions))
+        .routes(routes!(regions::get_region, regions::put_region))
+        .routes(routes!(active_models::get_region_model, active_models::put_region_model))
+        .routes(routes!(active_models::roll_back_region_model))
+        .routes(routes!(proposals::list_region_proposals))
+        .routes(routes!(proposals::accept_region_proposal))
+        .routes(routes!(proposals::decline_region_proposal))
+        .routes(routes!(region_forecasts::get_region_forecast))
         .routes(routes!(forecasts::list_forecasts))
         .routes(routes!(forecasts::get_latest_forecast))
         .routes(routes!(forecasts::get_forecast, issued::issue_forecast))

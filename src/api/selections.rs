@@ -19,7 +19,7 @@ use super::{
 };
 use crate::{
     domain::{
-        ids::StationId,
+        ids::{RegionId, StationId},
         problem::{Code, Problem},
     },
     formats::figures::{self, ImageFormat},
@@ -36,8 +36,10 @@ pub struct SelectionResource {
     used: Vec<String>,
     /// The job of the process `select-features` that found it.
     job: Uuid,
-    /// The station whose days it was made on.
-    station: StationId,
+    /// The station whose days it was made on; null where it was a region.
+    station: Option<StationId>,
+    /// The region whose stations it was made on; null where it was a station.
+    region: Option<RegionId>,
     /// True where these were made by a generator.
     synthetic: bool,
     /// The curve, the ranking and the proposal.
@@ -81,8 +83,10 @@ pub async fn get_selection(
         let bytes = drawn.map_err(Problem::internal)?;
         return Ok(respond::tagged_bytes(&conditions, StatusCode::OK, etag(&bytes), format.media_type(), bytes));
     }
-    let SelectionRecord { station, synthetic, selection, provenance } = found;
+    let SelectionRecord { place, synthetic, selection, provenance } = found;
+    let (station, region) = (place.station().cloned(), place.region().cloned());
     let used = trained.features.clone();
-    let resource = SelectionResource { model_id: model.id, used, job, station, synthetic, selection, provenance };
+    let resource =
+        SelectionResource { model_id: model.id, used, job, station, region, synthetic, selection, provenance };
     respond::resource(&conditions, &resource)
 }

@@ -11,14 +11,15 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::{
     AppState,
+    auth::Caller,
     extract::{Conditions, JsonBody, Path, Query},
     problem::ApiResult,
     respond,
 };
 use crate::{
-    clock,
     domain::{
         ids::StationId,
+        retrain::Retrain,
         station::{EawsRegion, Station, StationBody, StationName, ZoneName},
         units::{Altitude, Latitude, Longitude},
     },
@@ -40,13 +41,20 @@ pub struct StationPath {
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct ListQuery {
-    /// Largest number of stations in the answer, 1 to 1000.
+    /// Largest number of them in the answer, 1 to 1000.
     #[serde(default)]
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1000, default = 100)]
     limit: Option<Limit<100, 1000>>,
     /// Where the page begins: `next` of the page before.
     #[serde(default)]
     cursor: Option<String>,
+}
+
+impl ListQuery {
+    /// The size of the page, and the name after which it begins.
+    pub(super) fn page(self) -> (u32, String) {
+        (Limit::or_default(self.limit), self.cursor.unwrap_or_default())
+    }
 }
 
 /// The size of a page, with its default and its largest value.
@@ -89,6 +97,8 @@ pub struct StationResource {
     /// The variables that the station reports; null: whatever its observations contain.
     #[schema(value_type = Option<Vec<String>>)]
     variables: Option<Vec<&'static str>>,
+    /// When its models are retrained by themselves, as a proposal; null: on request only.
+    retrain: Option<Retrain>,
     /// True for a station whose data were made by a generator: nothing of it was ever observed.
     synthetic: bool,
     /// Counts the changes, from 1.
@@ -120,6 +130,7 @@ impl From<Station> for StationResource {
             timezone: body.timezone,
             eaws_region: body.eaws_region,
             variables: body.variables.map(|list| list.into_iter().map(|variable| variable.name()).collect()),
+            retrain: body.retrain,
             synthetic: station.synthetic,
             revision: station.revision,
             created: station.created,
@@ -140,8 +151,7 @@ pub async fn list_stations(
     Query(query): Query<ListQuery>,
     conditions: Conditions,
 ) -> ApiResult<Response> {
-    let limit = Limit::or_default(query.limit);
-    let after = query.cursor.unwrap_or_default();
+    let (limit, after) = query.page();
     let mut stations = state.store.stations(&after, limit + 1).await?;
     let more = stations.len() > limit as usize;
     stations.truncate(limit as usize);
@@ -177,10 +187,11 @@ pub async fn put_station(
     State(state): State<AppState>,
     Path(path): Path<StationPath>,
     conditions: Conditions,
+    caller: Caller,
     JsonBody(body): JsonBody<StationBody>,
 ) -> ApiResult<Response> {
     let permits = |before: Option<&Station>| conditions.permit_write(before.map(tag).as_deref());
-    let (station, written) = state.store.put_station(&path.station, &body, false, clock::now(), permits).await?;
+    let (station, written) = state.store.put_station(&path.station, &body, false, &caller.actor(), permits).await?;
     let status = if written == Written::Created { StatusCode::CREATED } else { StatusCode::OK };
     let tag = tag(&station);
     let location = format!("/v1/stations/{}", station.id);

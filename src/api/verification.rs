@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     domain::{
-        ids::StationId,
+        ids::{RegionId, StationId},
         problem::{Code, Problem},
     },
     science::forecast::{
@@ -52,6 +52,11 @@ pub struct VerificationQuery {
     #[serde(default)]
     #[param(value_type = Option<String>, pattern = "^(observed|forecast)$", default = "observed")]
     weather: Weather,
+    /// Only what the model of this region said, judged by the avalanche days of the region; left out: only what was said of
+    /// the station's own.
+    #[serde(default)]
+    #[param(inline)]
+    region: Option<RegionId>,
     /// What counts as an avalanche day, `observed` or `presumed`: forecasts of models with the other label are left out.
     #[serde(default)]
     #[param(value_type = Option<String>, pattern = "^(observed|presumed)$", default = "observed")]
@@ -88,6 +93,8 @@ impl TryFrom<f64> for Ratio {
 pub struct VerificationResource {
     /// The station.
     station: StationId,
+    /// The region whose avalanche days were forecast; null: the station's own.
+    region: Option<RegionId>,
     /// True where the station's data were made by a generator.
     synthetic: bool,
     /// Days between the last observation and the day that is forecast.
@@ -129,11 +136,13 @@ pub async fn verify_forecasts(
     let (hindcasts, seed) = (query.hindcasts.unwrap_or(false), query.seed.unwrap_or(0));
     let mut issued =
         state.store.issued_forecasts(&station.id, from, to, lead, query.weather == Weather::Forecast).await?;
-    issued.retain(|forecast| forecast.label == label && (hindcasts || !forecast.hindcast));
+    issued.retain(|forecast| {
+        forecast.label == label && forecast.region == query.region && (hindcasts || !forecast.hindcast)
+    });
     let mut calls = state.store.forecaster_calls(&station.id, from, to, lead).await?;
     calls.retain(|call| hindcasts || !call.hindcast);
     let last = issued.last().map_or(from, |forecast| forecast.date);
-    let history = state.store.day_records(&station.id, ALWAYS.0, last).await?;
+    let history = history(&state, &station.id, query.region.as_ref(), label, last).await?;
     let cost_loss = query.cost_loss_ratio.map(|ratio| ratio.0);
     let (verification, waiting) = tokio::task::spawn_blocking(move || {
         let days = judged(&issued, &calls, &history, label);
@@ -143,6 +152,7 @@ pub async fn verify_forecasts(
     .map_err(Problem::internal)?;
     let answer = VerificationResource {
         station: station.id,
+        region: query.region,
         synthetic: station.synthetic,
         lead,
         weather: query.weather,
@@ -152,6 +162,22 @@ pub async fn verify_forecasts(
         verification,
     };
     respond::resource(&conditions, &answer)
+}
+
+/// The days of the station until `last`; with the avalanche days of a region where that is what was forecast.
+async fn history(
+    state: &AppState,
+    station: &StationId,
+    region: Option<&RegionId>,
+    label: Label,
+    last: civil::Date,
+) -> ApiResult<Vec<DayRecord>> {
+    let Some(region) = region else { return Ok(state.store.day_records(station, ALWAYS.0, last).await?) };
+    let region = state.region(region).await?;
+    let days = state.store.regional_days(&region, label, ALWAYS.0, last).await?;
+    // every station of a region has all of its days; one that has left it is judged by them as well
+    let at = region.body.stations.iter().position(|id| id == station).unwrap_or(0);
+    Ok(days.into_iter().nth(at).unwrap_or_default())
 }
 
 /// The forecasts whose outcome is known.

@@ -12,6 +12,7 @@ use super::station::StationName;
 use crate::science::emission::{
     catalogue::{Catalogue, Column, Metadata, QualityFlag, quality},
     hits::{HitOptions, SensitivityPoint},
+    location::events::{EventOptions, EventSummary},
 };
 
 /// The name of a data set: as that of a station.
@@ -81,6 +82,22 @@ pub struct Description {
     pub source: Source,
     /// How its hits were found in waveforms; null where they came as hits.
     pub waveform: Option<WaveformOrigin>,
+    /// How its events were located; null where they were not located here.
+    #[serde(default)]
+    pub location: Option<LocationOrigin>,
+}
+
+/// How the events of a data set were made of the hits of another one.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LocationOrigin {
+    /// The data set of the hits.
+    pub parent: Uuid,
+    /// The SHA-256 (hex) of its columns.
+    pub parent_sha256: String,
+    /// How hits were grouped and located.
+    pub settings: EventOptions,
+    /// What became of the hits.
+    pub summary: EventSummary,
 }
 
 /// How hits were found in waveforms.
@@ -145,6 +162,7 @@ impl Description {
             notes,
             source,
             waveform: None,
+            location: None,
         }
     }
 }

@@ -12,69 +12,131 @@ use utoipa::{
 };
 use uuid::Uuid;
 
-/// The name of a station in every address: 1 to 64 letters, digits, `_` or `-`, beginning with a letter or digit.
+macro_rules! name {
+    ($(#[$doc:meta])* $name:ident, $error:ident, $words:literal, $example:literal) => {
+        $(#[$doc])*
+        #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+        #[serde(try_from = "String", into = "String")]
+        pub struct $name(String);
+
+        #[doc = concat!("A string that is no [`", stringify!($name), "`].")]
+        #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+        #[error("must be 1 to 64 letters, digits, _ or -, beginning with a letter or digit")]
+        pub struct $error;
+
+        impl $name {
+            /// The regular expression that the contract publishes.
+            pub const PATTERN: &'static str = "^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$";
+
+            /// The name as text.
+            #[must_use]
+            pub fn as_str(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl TryFrom<String> for $name {
+            type Error = $error;
+
+            fn try_from(name: String) -> Result<Self, Self::Error> {
+                let good = |b: u8| b.is_ascii_alphanumeric() || b == b'_' || b == b'-';
+                let begins = name.as_bytes().first().is_some_and(u8::is_ascii_alphanumeric);
+                if begins && name.len() <= 64 && name.bytes().all(good) { Ok(Self(name)) } else { Err($error) }
+            }
+        }
+
+        impl FromStr for $name {
+            type Err = $error;
+
+            fn from_str(name: &str) -> Result<Self, Self::Err> {
+                Self::try_from(name.to_owned())
+            }
+        }
+
+        impl From<$name> for String {
+            fn from(id: $name) -> Self {
+                id.0
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str(&self.0)
+            }
+        }
+
+        impl PartialSchema for $name {
+            fn schema() -> RefOr<Schema> {
+                ObjectBuilder::new()
+                    .schema_type(Type::String)
+                    .pattern(Some(Self::PATTERN))
+                    .description(Some($words))
+                    .examples([serde_json::json!($example)])
+                    .into()
+            }
+        }
+
+        impl ToSchema for $name {}
+    };
+}
+
+name! {
+    /// The name of a station in every address: 1 to 64 letters, digits, `_` or `-`, beginning with a letter or digit.
+    StationId, StationIdError, "Name of a station: 1 to 64 letters, digits, _ or -.", "lochaber"
+}
+
+name! {
+    /// The name of a region in every address: as that of a station.
+    RegionId, RegionIdError, "Name of a region: 1 to 64 letters, digits, _ or -.", "highlands"
+}
+
+/// What a model is for: one station, or a region of several.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
-pub struct StationId(String);
+#[serde(rename_all = "lowercase")]
+pub enum Place {
+    /// A station.
+    Station(StationId),
+    /// A region.
+    Region(RegionId),
+}
 
-/// A string that is no [`StationId`].
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("must be 1 to 64 letters, digits, _ or -, beginning with a letter or digit")]
-pub struct StationIdError;
-
-impl StationId {
-    /// The regular expression that the contract publishes.
-    pub const PATTERN: &'static str = "^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$";
-
-    /// The name as text.
+impl Place {
+    /// The station, where it is one.
     #[must_use]
-    pub fn as_str(&self) -> &str {
-        &self.0
+    pub const fn station(&self) -> Option<&StationId> {
+        match self {
+            Self::Station(id) => Some(id),
+            Self::Region(_) => None,
+        }
+    }
+
+    /// The region, where it is one.
+    #[must_use]
+    pub const fn region(&self) -> Option<&RegionId> {
+        match self {
+            Self::Station(_) => None,
+            Self::Region(id) => Some(id),
+        }
+    }
+
+    /// Its address.
+    #[must_use]
+    pub fn path(&self) -> String {
+        match self {
+            Self::Station(id) => format!("/v1/stations/{id}"),
+            Self::Region(id) => format!("/v1/regions/{id}"),
+        }
     }
 }
 
-impl TryFrom<String> for StationId {
-    type Error = StationIdError;
-
-    fn try_from(name: String) -> Result<Self, Self::Error> {
-        let good = |b: u8| b.is_ascii_alphanumeric() || b == b'_' || b == b'-';
-        let begins = name.as_bytes().first().is_some_and(u8::is_ascii_alphanumeric);
-        if begins && name.len() <= 64 && name.bytes().all(good) { Ok(Self(name)) } else { Err(StationIdError) }
-    }
-}
-
-impl FromStr for StationId {
-    type Err = StationIdError;
-
-    fn from_str(name: &str) -> Result<Self, Self::Err> {
-        Self::try_from(name.to_owned())
-    }
-}
-
-impl From<StationId> for String {
-    fn from(id: StationId) -> Self {
-        id.0
-    }
-}
-
-impl fmt::Display for StationId {
+impl fmt::Display for Place {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
+        match self {
+            Self::Station(id) => write!(f, "station {id}"),
+            Self::Region(id) => write!(f, "region {id}"),
+        }
     }
 }
-
-impl PartialSchema for StationId {
-    fn schema() -> RefOr<Schema> {
-        ObjectBuilder::new()
-            .schema_type(Type::String)
-            .pattern(Some(Self::PATTERN))
-            .description(Some("Name of a station: 1 to 64 letters, digits, _ or -."))
-            .examples([serde_json::json!("lochaber")])
-            .into()
-    }
-}
-
-impl ToSchema for StationId {}
 
 /// A new time-ordered identifier (UUID version 7) for a job, a model or a request.
 #[must_use]

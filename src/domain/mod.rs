@@ -7,6 +7,8 @@ pub mod ids;
 pub mod job;
 pub mod observation;
 pub mod problem;
+pub mod region;
+pub mod retrain;
 pub mod schema;
 pub mod station;
 pub mod units;

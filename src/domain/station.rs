@@ -13,6 +13,7 @@ use utoipa::{
 
 use super::{
     ids::StationId,
+    retrain::Retrain,
     units::{Altitude, Latitude, Longitude},
 };
 
@@ -42,6 +43,9 @@ pub struct StationBody {
     #[serde(default, deserialize_with = "distinct")]
     #[schema(schema_with = variables_schema)]
     pub variables: Option<Vec<Variable>>,
+    /// When its models are retrained by themselves, as a proposal; null: on request only.
+    #[serde(default)]
+    pub retrain: Option<Retrain>,
 }
 
 /// A station as the store keeps it.

@@ -1,11 +1,12 @@
-//! Sees to it that nothing is forgotten: issues tickets again that an engine lost, and retires what is old.
+//! Sees to it that nothing is forgotten: issues tickets again that an engine lost, retires what is old, and
+//! starts the retrainings that the calendar asks for.
 
 use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
 use tokio_util::sync::CancellationToken;
 
-use super::desk::Desk;
+use super::{desk::Desk, retraining};
 use crate::{
     clock,
     store::{StoreError, jobs::Retention},
@@ -22,6 +23,9 @@ const MOST_TICKETS: u32 = 10_000;
 
 /// Rounds between two looks at what is old: ten minutes.
 const ROUNDS_TO_RETIRE: u32 = 300;
+
+/// Rounds between two looks at the calendar: one minute.
+const ROUNDS_TO_RETRAIN: u32 = 30;
 
 /// Rounds between two looks at outputs that nobody names: a day. The first look is at the start, after whatever ended the
 /// process before.
@@ -74,6 +78,12 @@ pub async fn run(desk: Desk, keep: Keep, stop: CancellationToken) {
             && let Err(error) = retire(&desk, keep).await
         {
             tracing::error!(%error, "old jobs could not be retired");
+        }
+        // in the first round too: what was due while nobody was there is made up for
+        if round.is_multiple_of(ROUNDS_TO_RETRAIN)
+            && let Err(error) = retraining::start_due(&desk, clock::now()).await
+        {
+            tracing::error!(%error, "models that are due could not be retrained");
         }
         if round.is_multiple_of(ROUNDS_TO_SWEEP) {
             match desk.sweep_artifacts().await {

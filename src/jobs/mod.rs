@@ -14,6 +14,7 @@ pub mod intake;
 pub mod link;
 pub mod nats_link;
 pub mod processes;
+pub mod retraining;
 pub mod spacing;
 pub mod worker;
 

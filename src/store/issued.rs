@@ -7,7 +7,7 @@ use sqlx::{FromRow, Row, sqlite::SqliteRow};
 use uuid::Uuid;
 
 use super::{Result, Store, StoreError, from_json, parse_date, parse_timestamp, stations::Written, to_json};
-use crate::domain::ids::StationId;
+use crate::domain::ids::{RegionId, StationId};
 
 /// A forecast as it was issued.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +20,8 @@ pub struct IssuedForecast {
     pub forecast_weather: bool,
     /// The model that spoke.
     pub model: Uuid,
+    /// The region whose avalanche day was forecast; none: the station's own.
+    pub region: Option<RegionId>,
     /// Probability of an avalanche day.
     pub probability: f64,
     /// Whether it reached the threshold.
@@ -86,6 +88,10 @@ fn read_issued(row: &SqliteRow) -> Result<IssuedForecast> {
         lead: row.try_get("lead")?,
         forecast_weather: row.try_get::<String, _>("weather")? == weather(true),
         model: row.try_get::<String, _>("model")?.parse().map_err(StoreError::corrupt)?,
+        region: row
+            .try_get::<Option<String>, _>("region")?
+            .map(|region| region.parse().map_err(StoreError::corrupt))
+            .transpose()?,
         probability: row.try_get("probability")?,
         warned: row.try_get("warned")?,
         base_rate: row.try_get("base_rate")?,
@@ -135,15 +141,16 @@ impl Store {
         let mut tx = self.begin().await?;
         let done = sqlx::query(
             "INSERT INTO issued_forecast
-                 (station, date, lead, weather, model, probability, warned, base_rate, label, hindcast, body, similar,
+                 (station, date, lead, weather, model, region, probability, warned, base_rate, label, hindcast, body, similar,
                   issued, issued_by)
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
         )
         .bind(station.as_str())
         .bind(forecast.date.to_string())
         .bind(forecast.lead)
         .bind(weather(forecast.forecast_weather))
         .bind(forecast.model.to_string())
+        .bind(forecast.region.as_ref().map(RegionId::as_str))
         .bind(forecast.probability)
         .bind(forecast.warned)
         .bind(forecast.base_rate)

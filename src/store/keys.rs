@@ -6,7 +6,14 @@ use sha2::{Digest, Sha256};
 use sqlx::{FromRow, Row, sqlite::SqliteRow};
 use subtle::ConstantTimeEq;
 
-use super::{Result, Store, StoreError, parse_timestamp};
+use super::{
+    Result, Store, StoreError,
+    audit::{self, Action, Actor, NewEntry},
+    parse_timestamp,
+};
+
+/// Keys are made and withdrawn by whoever has the data directory.
+const BY_COMMAND: Option<&str> = Some("by the command `firn key`");
 
 /// What the owner of a key may do; each role may do what the ones before it may.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
@@ -132,6 +139,14 @@ impl Store {
             .bind(expires.map(|end| end.to_string()))
             .execute(&mut *tx)
             .await?;
+        let entry = NewEntry {
+            action: Action::KeyCreated,
+            target: &format!("key:{id}"),
+            reason: BY_COMMAND,
+            before: None,
+            after: Some(serde_json::json!({"name": name, "role": role, "expires": expires})),
+        };
+        audit::write(&mut tx, &Actor::service(now), entry).await?;
         tx.commit().await?;
         Ok(format!("firn_{id}_{secret}"))
     }
@@ -157,8 +172,19 @@ impl Store {
             .bind(id)
             .execute(&mut *tx)
             .await?;
+        let revoked = done.rows_affected() > 0;
+        if revoked {
+            let entry = NewEntry {
+                action: Action::KeyRevoked,
+                target: &format!("key:{id}"),
+                reason: BY_COMMAND,
+                before: None,
+                after: None,
+            };
+            audit::write(&mut tx, &Actor::service(now), entry).await?;
+        }
         tx.commit().await?;
-        Ok(done.rows_affected() > 0)
+        Ok(revoked)
     }
 
     /// The valid key that `text` is, or none.

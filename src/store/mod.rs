@@ -1,15 +1,21 @@
 //! All SQL. SQLite in WAL mode is the truth: one writer connection, several readers, every write a transaction that is
 //! on disk before anybody is told of it.
 
+pub mod audit;
 pub mod datasets;
 mod day_batch;
 pub mod issued;
 pub mod jobs;
 pub mod keys;
+#[cfg(test)]
+mod migration_tests;
 pub mod models;
 pub mod observations;
+pub mod proposals;
+pub mod regions;
 pub mod selections;
 pub mod stations;
+pub mod transfers;
 pub mod vallen;
 
 use std::{

@@ -4,19 +4,25 @@ use std::sync::Arc;
 
 use firn_science::forecast::model::TrainedModel;
 use jiff::Timestamp;
-use sqlx::{FromRow, Row, Sqlite, Transaction, sqlite::SqliteRow};
+use sqlx::{FromRow, Row, Sqlite, SqliteConnection, Transaction, sqlite::SqliteRow};
 use uuid::Uuid;
 
-use super::{Result, Store, StoreError, from_json, parse_timestamp, to_json};
-use crate::domain::ids::StationId;
+use super::{
+    Result, Store, StoreError,
+    audit::{self, Action, Actor, NewEntry},
+    from_json, parse_timestamp,
+    proposals::Proposal,
+    to_json,
+};
+use crate::domain::ids::{Place, StationId};
 
 /// A model without its machine and evaluation, which are large and read by themselves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelRecord {
     /// Its id, a UUID version 7.
     pub id: Uuid,
-    /// The station that it was trained for.
-    pub station: StationId,
+    /// The station or region that it was trained for.
+    pub place: Place,
     /// The job that trained it.
     pub job: Uuid,
     /// Days between the last observation and the day that is forecast.
@@ -27,6 +33,31 @@ pub struct ModelRecord {
     pub summary: serde_json::Value,
     /// When it was made.
     pub created: Timestamp,
+}
+
+impl ModelRecord {
+    /// True where it was trained on days that a generator made.
+    #[must_use]
+    pub fn is_synthetic(&self) -> bool {
+        self.summary.get("synthetic").and_then(serde_json::Value::as_bool).unwrap_or(false)
+    }
+
+    /// The stations whose days it was trained on, in the order of the training.
+    #[must_use]
+    pub fn stations(&self) -> Vec<StationId> {
+        match &self.place {
+            Place::Station(id) => vec![id.clone()],
+            Place::Region(_) => {
+                serde_json::from_value(self.summary["training"]["stations"].clone()).unwrap_or_default()
+            }
+        }
+    }
+
+    /// Whether days of that station are among them.
+    #[must_use]
+    pub fn trained_at(&self, station: &StationId) -> bool {
+        self.stations().contains(station)
+    }
 }
 
 /// A model as training leaves it.
@@ -47,8 +78,12 @@ pub struct Activation {
     pub model: Uuid,
     /// Since when.
     pub activated: Timestamp,
-    /// By whom; none for a station's first model and where no key was needed.
+    /// By whom; none for the first model of a place and where no key was needed.
     pub activated_by: Option<String>,
+    /// Why, in the words of who did it.
+    pub reason: Option<String>,
+    /// The activation that a roll-back from here restores; none where there was none before.
+    pub back_to: Option<i64>,
     /// Counts the activations of the whole registry.
     pub sequence: i64,
 }
@@ -71,7 +106,7 @@ impl FromRow<'_, SqliteRow> for ActivationRow {
 fn read_model(row: &SqliteRow) -> Result<ModelRecord> {
     Ok(ModelRecord {
         id: row.try_get::<String, _>("id")?.parse().map_err(StoreError::corrupt)?,
-        station: row.try_get::<String, _>("station")?.parse().map_err(StoreError::corrupt)?,
+        place: read_place(row)?,
         job: row.try_get::<String, _>("job")?.parse().map_err(StoreError::corrupt)?,
         lead: row.try_get("lead")?,
         selection: row
@@ -83,47 +118,86 @@ fn read_model(row: &SqliteRow) -> Result<ModelRecord> {
     })
 }
 
+/// The station or the region of a row; every row has one of the two.
+pub(super) fn read_place(row: &SqliteRow) -> Result<Place> {
+    if let Some(station) = row.try_get::<Option<String>, _>("station")? {
+        return Ok(Place::Station(station.parse().map_err(StoreError::corrupt)?));
+    }
+    Ok(Place::Region(row.try_get::<String, _>("region")?.parse().map_err(StoreError::corrupt)?))
+}
+
 fn read_activation(row: &SqliteRow) -> Result<Activation> {
     Ok(Activation {
         model: row.try_get::<String, _>("model")?.parse().map_err(StoreError::corrupt)?,
         activated: parse_timestamp(row.try_get("activated")?)?,
         activated_by: row.try_get("activated_by")?,
+        reason: row.try_get("reason")?,
+        back_to: row.try_get("back_to")?,
         sequence: row.try_get("sequence")?,
     })
 }
 
-async fn insert_activation(
-    tx: &mut Transaction<'_, Sqlite>,
-    station: &StationId,
+/// A change of the active model.
+struct Change<'a> {
+    place: &'a Place,
     lead: u8,
     model: Uuid,
-    by: Option<&str>,
-    now: Timestamp,
-) -> Result<Activation> {
+    reason: Option<&'a str>,
+    action: Action,
+    before: Option<&'a Activation>,
+    back_to: Option<i64>,
+}
+
+async fn insert_activation(tx: &mut Transaction<'_, Sqlite>, change: Change<'_>, actor: &Actor) -> Result<Activation> {
     let row = sqlx::query_as::<_, ActivationRow>(
-        "INSERT INTO activation (station, lead, model, activated, activated_by) VALUES (?, ?, ?, ?, ?) RETURNING *",
+        "INSERT INTO activation (station, region, lead, model, activated, activated_by, reason, back_to)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?) RETURNING *",
     )
-    .bind(station.as_str())
-    .bind(lead)
-    .bind(model.to_string())
-    .bind(now.to_string())
-    .bind(by)
+    .bind(change.place.station().map(|id| id.as_str()))
+    .bind(change.place.region().map(|id| id.as_str()))
+    .bind(change.lead)
+    .bind(change.model.to_string())
+    .bind(actor.at.to_string())
+    .bind(actor.name.as_deref())
+    .bind(change.reason)
+    .bind(change.back_to)
     .fetch_one(&mut **tx)
     .await?;
+    let model = |id: Uuid| serde_json::json!({"lead": change.lead, "model_id": id});
+    let entry = NewEntry {
+        action: change.action,
+        target: &format!("{}/active-model", change.place.path()),
+        reason: change.reason,
+        before: change.before.map(|before| model(before.model)),
+        after: Some(model(change.model)),
+    };
+    audit::write(tx, actor, entry).await?;
     Ok(row.0)
 }
 
-const ACTIVE: &str = "SELECT * FROM activation WHERE station = ? AND lead = ? ORDER BY sequence DESC LIMIT 1";
+const ACTIVE: &str =
+    "SELECT * FROM activation WHERE station IS ? AND region IS ? AND lead = ? ORDER BY sequence DESC LIMIT 1";
 
-/// Keeps a trained model; makes it active where its station has none of that lead, and says whether it did.
-pub(super) async fn insert(tx: &mut Transaction<'_, Sqlite>, model: &NewModel, now: Timestamp) -> Result<bool> {
+async fn active(connection: &mut SqliteConnection, place: &Place, lead: u8) -> Result<Option<Activation>> {
+    let row: Option<ActivationRow> = sqlx::query_as(ACTIVE)
+        .bind(place.station().map(|id| id.as_str()))
+        .bind(place.region().map(|id| id.as_str()))
+        .bind(lead)
+        .fetch_optional(connection)
+        .await?;
+    Ok(row.map(|row| row.0))
+}
+
+/// Keeps a trained model.
+pub(super) async fn keep(tx: &mut Transaction<'_, Sqlite>, model: &NewModel) -> Result<()> {
     let record = &model.record;
     sqlx::query(
-        "INSERT INTO model (id, station, job, lead, selection, summary, machine, evaluation, created)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        "INSERT INTO model (id, station, region, job, lead, selection, summary, machine, evaluation, created)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
     )
     .bind(record.id.to_string())
-    .bind(record.station.as_str())
+    .bind(record.place.station().map(|id| id.as_str()))
+    .bind(record.place.region().map(|id| id.as_str()))
     .bind(record.job.to_string())
     .bind(record.lead)
     .bind(record.selection.map(|job| job.to_string()))
@@ -133,12 +207,48 @@ pub(super) async fn insert(tx: &mut Transaction<'_, Sqlite>, model: &NewModel, n
     .bind(record.created.to_string())
     .execute(&mut **tx)
     .await?;
-    let active: Option<ActivationRow> =
-        sqlx::query_as(ACTIVE).bind(record.station.as_str()).bind(record.lead).fetch_optional(&mut **tx).await?;
-    if active.is_some() {
+    Ok(())
+}
+
+/// Makes the model of a proposal the active one, if that is still the one that it was compared with; says whether it is.
+pub(super) async fn replace(
+    tx: &mut Transaction<'_, Sqlite>,
+    proposal: &Proposal,
+    target: &str,
+    actor: &Actor,
+) -> Result<bool> {
+    let before = active(tx, &proposal.place, proposal.lead).await?;
+    let Some(before) = before.filter(|before| before.model == proposal.active) else { return Ok(false) };
+    let change = Change {
+        place: &proposal.place,
+        lead: proposal.lead,
+        model: proposal.model,
+        reason: Some(&format!("accepted: {target}")),
+        action: Action::ModelActivated,
+        before: Some(&before),
+        back_to: Some(before.sequence),
+    };
+    insert_activation(tx, change, actor).await?;
+    Ok(true)
+}
+
+/// Keeps a trained model; makes it active where its place has none of that lead, and says whether it did.
+pub(super) async fn insert(tx: &mut Transaction<'_, Sqlite>, model: &NewModel, now: Timestamp) -> Result<bool> {
+    let record = &model.record;
+    keep(tx, model).await?;
+    if active(tx, &record.place, record.lead).await?.is_some() {
         return Ok(false);
     }
-    insert_activation(tx, &record.station, record.lead, record.id, None, now).await?;
+    let change = Change {
+        place: &record.place,
+        lead: record.lead,
+        model: record.id,
+        reason: Some("the first model"),
+        action: Action::ModelActivated,
+        before: None,
+        back_to: None,
+    };
+    insert_activation(tx, change, &Actor::service(now)).await?;
     Ok(true)
 }
 
@@ -149,7 +259,7 @@ impl Store {
     /// [`StoreError::Sql`] where the database cannot be read.
     pub async fn model(&self, id: Uuid) -> Result<Option<ModelRecord>> {
         let row = sqlx::query_as::<_, ModelRow>(
-            "SELECT id, station, job, lead, selection, summary, created FROM model WHERE id = ?",
+            "SELECT id, station, region, job, lead, selection, summary, created FROM model WHERE id = ?",
         )
         .bind(id.to_string())
         .fetch_optional(&self.reader)
@@ -157,23 +267,20 @@ impl Store {
         Ok(row.map(|row| row.0))
     }
 
-    /// Up to `limit` models, newest first, of one station or of all, older than `before`.
+    /// Up to `limit` models, newest first, of one place or of all, older than `before`.
     ///
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
-    pub async fn models(
-        &self,
-        station: Option<&StationId>,
-        before: Option<Uuid>,
-        limit: u32,
-    ) -> Result<Vec<ModelRecord>> {
+    pub async fn models(&self, place: Option<&Place>, before: Option<Uuid>, limit: u32) -> Result<Vec<ModelRecord>> {
         let rows = sqlx::query_as::<_, ModelRow>(
-            "SELECT id, station, job, lead, selection, summary, created FROM model
-             WHERE (?1 IS NULL OR station = ?1) AND (?2 IS NULL OR id < ?2) ORDER BY id DESC LIMIT ?3",
+            "SELECT id, station, region, job, lead, selection, summary, created FROM model
+             WHERE (?1 IS NULL OR station = ?1) AND (?4 IS NULL OR region = ?4) AND (?2 IS NULL OR id < ?2)
+             ORDER BY id DESC LIMIT ?3",
         )
-        .bind(station.map(StationId::as_str))
+        .bind(place.and_then(Place::station).map(|id| id.as_str()))
         .bind(before.map(|id| id.to_string()))
         .bind(limit)
+        .bind(place.and_then(Place::region).map(|id| id.as_str()))
         .fetch_all(&self.reader)
         .await?;
         Ok(rows.into_iter().map(|row| row.0).collect())
@@ -209,17 +316,13 @@ impl Store {
         text.as_deref().map(from_json).transpose()
     }
 
-    /// The active model of a station and lead.
+    /// The active model of a place and lead.
     ///
     /// # Errors
     /// [`StoreError::Sql`] where the database cannot be read.
-    pub async fn active_model(&self, station: &StationId, lead: u8) -> Result<Option<Activation>> {
-        let row = sqlx::query_as::<_, ActivationRow>(ACTIVE)
-            .bind(station.as_str())
-            .bind(lead)
-            .fetch_optional(&self.reader)
-            .await?;
-        Ok(row.map(|row| row.0))
+    pub async fn active_model(&self, place: &Place, lead: u8) -> Result<Option<Activation>> {
+        let mut connection = self.reader.acquire().await?;
+        active(&mut connection, place, lead).await
     }
 
     /// Makes a model the active one if `permits` agrees with the one before.
@@ -228,25 +331,55 @@ impl Store {
     /// [`StoreError::Precondition`] where it does not.
     pub async fn activate_model(
         &self,
-        station: &StationId,
+        place: &Place,
         lead: u8,
         model: Uuid,
-        by: Option<&str>,
-        now: Timestamp,
+        reason: Option<&str>,
+        actor: &Actor,
         permits: impl FnOnce(Option<&Activation>) -> bool,
     ) -> Result<Activation> {
         let mut tx = self.begin().await?;
-        let before: Option<ActivationRow> =
-            sqlx::query_as(ACTIVE).bind(station.as_str()).bind(lead).fetch_optional(&mut *tx).await?;
-        let before = before.map(|row| row.0);
+        let before = active(&mut tx, place, lead).await?;
         if !permits(before.as_ref()) {
             return Err(StoreError::Precondition);
         }
-        if let Some(same) = before.filter(|before| before.model == model) {
-            return Ok(same);
+        if let Some(same) = before.as_ref().filter(|before| before.model == model) {
+            return Ok(same.clone());
         }
-        let after = insert_activation(&mut tx, station, lead, model, by, now).await?;
+        let back_to = before.as_ref().map(|before| before.sequence);
+        let (action, before) = (Action::ModelActivated, before.as_ref());
+        let change = Change { place, lead, model, reason, action, before, back_to };
+        let after = insert_activation(&mut tx, change, actor).await?;
         tx.commit().await?;
         Ok(after)
+    }
+
+    /// Makes the model active again that was so before the active one; a second roll-back goes back further. `None`, and
+    /// nothing changed, where there was none before.
+    ///
+    /// # Errors
+    /// [`StoreError::Precondition`] where `permits` does not agree with the active one.
+    pub async fn roll_back_model(
+        &self,
+        place: &Place,
+        lead: u8,
+        reason: Option<&str>,
+        actor: &Actor,
+        permits: impl FnOnce(Option<&Activation>) -> bool,
+    ) -> Result<Option<Activation>> {
+        let mut tx = self.begin().await?;
+        let before = active(&mut tx, place, lead).await?;
+        if !permits(before.as_ref()) {
+            return Err(StoreError::Precondition);
+        }
+        let Some(earlier) = before.as_ref().and_then(|before| before.back_to) else { return Ok(None) };
+        let earlier: ActivationRow =
+            sqlx::query_as("SELECT * FROM activation WHERE sequence = ?").bind(earlier).fetch_one(&mut *tx).await?;
+        let Activation { model, back_to, .. } = earlier.0;
+        let (action, before) = (Action::ModelRolledBack, before.as_ref());
+        let change = Change { place, lead, model, reason, action, before, back_to };
+        let after = insert_activation(&mut tx, change, actor).await?;
+        tx.commit().await?;
+        Ok(Some(after))
     }
 }

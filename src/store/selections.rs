@@ -8,13 +8,14 @@ use sqlx::{Sqlite, Transaction};
 use uuid::Uuid;
 
 use super::{Result, Store, from_json, to_json};
-use crate::domain::ids::StationId;
+use crate::domain::ids::Place;
 
 /// What one elimination found, with where it comes from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SelectionRecord {
-    /// The station whose days it was made on.
-    pub station: StationId,
+    /// The station or region whose days it was made on.
+    #[serde(flatten)]
+    pub place: Place,
     /// True where these were made by a generator.
     pub synthetic: bool,
     /// The curve, the ranking and the proposal.
@@ -34,9 +35,10 @@ pub struct NewSelection {
 }
 
 pub(super) async fn insert(tx: &mut Transaction<'_, Sqlite>, new: &NewSelection, now: Timestamp) -> Result<()> {
-    sqlx::query("INSERT INTO selection (job, station, body, created) VALUES (?, ?, ?, ?)")
+    sqlx::query("INSERT INTO selection (job, station, region, body, created) VALUES (?, ?, ?, ?, ?)")
         .bind(new.job.to_string())
-        .bind(new.record.station.as_str())
+        .bind(new.record.place.station().map(|id| id.as_str()))
+        .bind(new.record.place.region().map(|id| id.as_str()))
         .bind(to_json(&new.record)?)
         .bind(now.to_string())
         .execute(&mut **tx)

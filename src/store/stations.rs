@@ -1,9 +1,12 @@
 //! Stations.
 
-use jiff::Timestamp;
 use sqlx::{FromRow, Row, sqlite::SqliteRow};
 
-use super::{Result, Store, StoreError, from_json, parse_timestamp, to_json};
+use super::{
+    Result, Store, StoreError,
+    audit::{self, Action, Actor, NewEntry},
+    from_json, parse_timestamp, to_json,
+};
 use crate::domain::{
     ids::StationId,
     station::{Station, StationBody},
@@ -37,6 +40,7 @@ fn read(row: &SqliteRow) -> Result<Station> {
         "altitude_m": row.try_get::<Option<f64>, _>("altitude_m")?,
         "timezone": row.try_get::<Option<String>, _>("timezone")?,
         "eaws_region": row.try_get::<Option<String>, _>("eaws_region")?,
+        "retrain": row.try_get::<Option<String>, _>("retrain")?.map(|day| serde_json::json!({"yearly": day})),
         "variables": variables.map(|text| from_json::<serde_json::Value>(&text)).transpose()?,
     });
     Ok(Station {
@@ -84,7 +88,7 @@ impl Store {
         id: &StationId,
         body: &StationBody,
         synthetic: bool,
-        now: Timestamp,
+        actor: &Actor,
         permits: impl FnOnce(Option<&Station>) -> bool,
     ) -> Result<(Station, Written)> {
         let mut tx = self.begin().await?;
@@ -96,18 +100,18 @@ impl Store {
         if !permits(before.as_ref()) {
             return Err(StoreError::Precondition);
         }
-        let written = match &before {
+        let (written, action) = match &before {
             Some(station) if station.body == *body => return Ok((station.clone(), Written::Unchanged)),
-            Some(_) => Written::Updated,
-            None => Written::Created,
+            Some(_) => (Written::Updated, Action::StationChanged),
+            None => (Written::Created, Action::StationCreated),
         };
         let variables = body.variables.as_ref().map(to_json).transpose()?;
         let row = sqlx::query_as::<_, StationRow>(
             "INSERT INTO station (id, name, latitude, longitude, altitude_m, timezone, variables, synthetic, revision, created, updated,
-                                  eaws_region)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 1, ?9, ?9, ?10)
+                                  eaws_region, retrain)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 1, ?9, ?9, ?10, ?11)
              ON CONFLICT (id) DO UPDATE SET name = ?2, latitude = ?3, longitude = ?4, altitude_m = ?5, timezone = ?6,
-                 variables = ?7, eaws_region = ?10, revision = revision + 1, updated = ?9
+                 variables = ?7, eaws_region = ?10, retrain = ?11, revision = revision + 1, updated = ?9
              RETURNING *",
         )
         .bind(id.as_str())
@@ -118,10 +122,22 @@ impl Store {
         .bind(body.timezone.as_ref().map(|zone| zone.as_str()))
         .bind(variables)
         .bind(synthetic)
-        .bind(now.to_string())
+        .bind(actor.at.to_string())
         .bind(body.eaws_region.as_ref().map(|region| region.as_str()))
+        .bind(body.retrain.map(|retrain| retrain.yearly.to_string()))
         .fetch_one(&mut *tx)
         .await?;
+        let entry = NewEntry {
+            action,
+            target: &format!("/v1/stations/{id}"),
+            reason: None,
+            before: before
+                .map(|station| serde_json::to_value(station.body))
+                .transpose()
+                .map_err(StoreError::corrupt)?,
+            after: Some(serde_json::to_value(body).map_err(StoreError::corrupt)?),
+        };
+        audit::write(&mut tx, actor, entry).await?;
         tx.commit().await?;
         Ok((row.0, written))
     }

@@ -110,6 +110,8 @@ fn operations(document: &Value) -> Vec<(Method, String)> {
     for (path, item) in document["paths"].as_object().expect("paths") {
         let path = path
             .replace("{station}", "a")
+            .replace("{region}", "a")
+            .replace("{proposal}", "00000000-0000-7000-8000-000000000000")
             .replace("{date}", "2007-02-14")
             .replace("{processID}", "train-model")
             .replace("{jobID}", "00000000-0000-7000-8000-000000000000")

@@ -324,7 +324,7 @@ async fn a_data_set_is_analysed_with_figures() {
     let analyses = json!([
         {"kind": "amplitude_distribution", "model": "auto", "xmin": 0.00317, "replicates": 100},
         {"kind": "duration_scaling"},
-        {"kind": "correlation_integral", "radii": 20, "nulls": 1},
+        {"kind": "correlation_integral", "radii": 20},
         {"kind": "waiting_times"},
     ]);
     let inputs = json!({"dataset": dataset["id"], "analyses": analyses, "seed": 7, "figures": "both"});
@@ -396,6 +396,11 @@ async fn what_cannot_be_analysed_is_refused_before_there_is_a_job() {
         (analysis(json!({"kind": "exponent_map"})), at.to_owned(), "4 event(s), at least 20"),
         (analysis(json!({"kind": "source_model"})), at.to_owned(), "sensitivity_v_per_pa is not known"),
         (analysis(json!({"kind": "amplitude_distribution", "xmin": -1})), format!("{at}/xmin"), "above 0"),
+        (
+            analysis(json!({"kind": "amplitude_distribution", "xmin": 5})),
+            at.to_owned(),
+            "from xmin to xmax: 0 event(s)",
+        ),
         (analysis(json!({"kind": "amplitude_distribution", "model": "gauss"})), format!("{at}/model"), "lognormal"),
         (analysis(json!({"kind": "wavelets"})), format!("{at}/kind"), "phase_comparison"),
         (json!({"dataset": dataset["id"], "analyses": []}), "/inputs/analyses".into(), ""),
@@ -453,4 +458,105 @@ async fn synthetic_polycrystals_are_made_and_compared() {
     let bad = json!({"name": "a", "grain_size_mm": -1.0});
     let refused = app.post("/v1/processes/emission-synthetic/execution").json(&json!({"inputs": bad})).await;
     assert_eq!(refused.pointers("invalid-inputs"), ["/inputs/grain_size_mm"]);
+}
+
+/// Quantile 0.95 of chi-square with three degrees of freedom.
+const CHI_SQUARE_3: f64 = 7.814_727_903_251_178;
+
+/// Columns of all rows of a data set.
+async fn columns(app: &TestApp, dataset: &Value) -> Value {
+    let id = dataset.as_str().unwrap();
+    app.read(&format!("{DATASETS}/{id}/hits?limit=100000")).await["columns"].clone()
+}
+
+/// The quadratic form of a miss in the inverse of the covariance of one row, by Cramer's rule.
+fn form(of: impl Fn(&str) -> f64, miss: [f64; 3]) -> f64 {
+    let [x, y, z] = ["x_se_m", "y_se_m", "z_se_m"].map(|name| of(name).powi(2));
+    let [xy, xz, yz] = ["xy_cov_m2", "xz_cov_m2", "yz_cov_m2"].map(of);
+    let determinant = |[[a, b, c], [d, e, f], [g, h, i]]: [[f64; 3]; 3]| {
+        a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    };
+    let rows = [[x, xy, xz], [xy, y, yz], [xz, yz, z]];
+    let whole = determinant(rows);
+    let with = |column: usize| {
+        let mut changed = rows;
+        (0..3).for_each(|row| changed[row][column] = miss[row]);
+        determinant(changed)
+    };
+    (0..3).map(|k| miss[k] * with(k) / whole).sum()
+}
+
+#[tokio::test]
+async fn hits_of_sensors_become_events_at_their_sources() {
+    let app = TestApp::start().await;
+    let events = json!({"name": "sources", "events": 1500, "seed": 4});
+    let mut hits = events.clone();
+    hits["name"] = json!("recorded");
+    hits["hits"] = json!({"speed_m_per_s": 3900, "arrival_error_s": 2e-7});
+    let (_, sources) = run(&app, "emission-synthetic", &events).await;
+    let (_, recorded) = run(&app, "emission-synthetic", &hits).await;
+    let parent = recorded["dataset_id"].clone();
+    let taken = app.read(&format!("{DATASETS}/{}", parent.as_str().unwrap())).await;
+    assert_eq!((&taken["events"], &taken["metadata"]["longitudinal_speed_m_per_s"]), (&json!(12_000), &json!(3900.0)));
+
+    let inputs = json!({"dataset": parent, "name": "located"});
+    let (job, results) = run(&app, "emission-location", &inputs).await;
+    let summary = &results["summary"];
+    assert_eq!((&summary["hits_grouped"], &summary["events"]), (&json!(12_000), &json!(1500)), "{summary}");
+    let located = summary["located"].as_u64().unwrap();
+    assert!(located >= 1485, "{summary}");
+    assert!((summary["arrival_error_s"].as_f64().unwrap() / 2e-7 - 1.0).abs() < 0.05, "{summary}");
+
+    // the data set tells where it comes from, and that nobody measured it
+    let made = app.read(&format!("{DATASETS}/{}", results["dataset_id"].as_str().unwrap())).await;
+    assert_eq!((&made["name"], &made["events"], &made["job"]), (&json!("located"), &json!(1500), &json!(job)));
+    assert_eq!((&made["synthetic"], &made["location"]["parent"]), (&json!(true), &parent));
+    assert_eq!((&made["location"]["summary"], &made["truth"]), (summary, &taken["truth"]));
+
+    // every source lies in the ellipsoid that is stated for it 95 times of 100; events are in the order of the sources
+    let (truth, found) = (columns(&app, &sources["dataset_id"]).await, columns(&app, &made["id"]).await);
+    let mut inside = 0;
+    for row in 0..1500 {
+        assert_eq!(found["amplitude_v"][row], truth["amplitude_v"][row]);
+        let of = |name: &str| found[name][row].as_f64().unwrap_or(f64::NAN);
+        let miss = ["x_m", "y_m", "z_m"].map(|name| of(name) - truth[name][row].as_f64().unwrap());
+        inside += u64::from(form(of, miss) <= CHI_SQUARE_3);
+    }
+    // 95 %, give or take 0.56 %
+    let share = inside as f64 / located as f64;
+    assert!((0.93..=0.97).contains(&share), "{share}");
+
+    // the location error is known now, and sets the smallest radius
+    let error = made["metadata"]["location_error_m"].as_f64().unwrap();
+    let inputs = json!({"dataset": made["id"], "analyses": [{"kind": "correlation_integral"}], "figures": "none"});
+    let (_, results) = run(&app, "emission-analysis", &inputs).await;
+    let first = results["analyses"][0]["points"][0]["r_m"].as_f64().unwrap();
+    assert!((first / (4.0 * error) - 1.0).abs() < 1e-9, "{first} {error}");
+}
+
+#[tokio::test]
+async fn what_a_location_lacks_is_named_before_there_is_a_job() {
+    let app = TestApp::start().await;
+    let refused = |inputs: Value| {
+        let app = &app;
+        async move { app.post("/v1/processes/emission-location/execution").json(&json!({"inputs": inputs})).await }
+    };
+    let hits = "time_s,amplitude_v,channel\n0,0.1,1\n0.00001,0.1,2\n";
+    let dataset = upload(&app, "name=two", hits).await.json(201)["id"].clone();
+    let answer = refused(json!({"dataset": dataset})).await;
+    assert_eq!(answer.pointers("invalid-inputs"), ["/inputs/dataset"]);
+    assert!(answer.text().contains("wave speed"), "{}", answer.text());
+    let answer = refused(json!({"dataset": dataset, "options": {"speed_m_per_s": 3900}})).await;
+    assert!(answer.text().contains("the sensors with their positions"), "{}", answer.text());
+    for (options, pointer) in [
+        (json!({"speed_m_per_s": -1}), "/inputs/options/speed_m_per_s"),
+        (json!({"speed_m_per_s": 3900, "dimensions": 4}), "/inputs/options/dimensions"),
+        (json!({"velocity": 3900}), "/inputs/options/velocity"),
+    ] {
+        let answer = refused(json!({"dataset": dataset, "options": options})).await;
+        assert_eq!(answer.pointers("invalid-inputs"), [pointer]);
+    }
+    let table = upload(&app, "name=none", "time_s,amplitude_v\n0,0.1\n").await.json(201)["id"].clone();
+    let answer = refused(json!({"dataset": table, "options": {"speed_m_per_s": 3900}})).await;
+    assert!(answer.text().contains("column channel is missing"), "{}", answer.text());
 }

@@ -19,6 +19,7 @@ async fn a_forecast_says_what_and_on_what_grounds() {
     }, @r#"
     {
       "station": "synthetic",
+      "region": null,
       "synthetic": true,
       "date": "2014-01-15",
       "lead": 0,
@@ -147,6 +148,7 @@ async fn similar_days_carry_the_decision() {
       "model_id": "[id]",
       "similar_days": [
         {
+          "station": "synthetic",
           "date": "[date]",
           "label": "[label]",
           "kernel": "[kernel]",
@@ -154,6 +156,7 @@ async fn similar_days_carry_the_decision() {
           "avalanches": "[avalanches]"
         },
         {
+          "station": "synthetic",
           "date": "[date]",
           "label": "[label]",
           "kernel": "[kernel]",
@@ -161,6 +164,7 @@ async fn similar_days_carry_the_decision() {
           "avalanches": "[avalanches]"
         },
         {
+          "station": "synthetic",
           "date": "[date]",
           "label": "[label]",
           "kernel": "[kernel]",

@@ -42,12 +42,12 @@ async fn a_client_of_the_standard_finds_its_way() {
         classes["conformsTo"].as_array().unwrap().iter().any(|class| class.as_str().unwrap().ends_with("conf/core"))
     );
     let list = app.read("/v1/processes").await;
-    assert_eq!(list["processes"].as_array().unwrap().len(), 7);
+    assert_eq!(list["processes"].as_array().unwrap().len(), 10);
     assert_json_snapshot!(list["processes"][1], {".version" => "[version]"}, @r#"
     {
       "id": "train-model",
       "title": "Train an avalanche-day forecasting model",
-      "description": "Trains a support vector machine on the observations of a station, evaluates it beside climatology, persistence, nearest neighbours and logistic regression with every season left out once, and puts it into the registry of models. The first model of a station and lead becomes its active one.",
+      "description": "Trains a support vector machine on the observations of a station, or of all stations of a region, evaluates it beside climatology, persistence, nearest neighbours and logistic regression with every season left out once, and puts it into the registry of models. The first model of a station or region and lead becomes its active one.",
       "version": "[version]",
       "jobControlOptions": [
         "async-execute",
@@ -83,7 +83,7 @@ async fn the_published_schema_is_the_one_that_checks() {
     let example = process["example"]["inputs"].as_object().unwrap();
     assert!(example.keys().all(|name| inputs.contains_key(name)), "{example:?}");
     for (name, input) in inputs {
-        assert_eq!(input["minOccurs"], u8::from(["station", "label", "lead"].contains(&name.as_str())), "{name}");
+        assert_eq!(input["minOccurs"], u8::from(["label", "lead"].contains(&name.as_str())), "{name}");
         let validator = jsonschema::validator_for(&input["schema"]).expect("a schema that compiles");
         if let Some(value) = example.get(name) {
             assert!(validator.is_valid(value), "{name}: the example is not what the schema accepts");
@@ -182,7 +182,7 @@ async fn a_process_that_is_not_there_is_refused_in_the_words_of_the_standard() {
       "type": "http://www.opengis.net/def/exceptions/ogcapi-processes-1/1.0/no-such-process",
       "title": "No such process",
       "status": 404,
-      "detail": "there is no process nothing; there are: echo, train-model, select-features, runout, emission-analysis, emission-comparison, emission-synthetic",
+      "detail": "there is no process nothing; there are: echo, train-model, select-features, evaluate-transfer, retrain-model, runout, emission-analysis, emission-comparison, emission-location, emission-synthetic",
       "code": "no-such-process",
       "traceId": "[id]"
     }

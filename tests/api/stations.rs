@@ -30,6 +30,7 @@ async fn a_station_is_made_and_read() {
         "air_temperature",
         "wind_speed"
       ],
+      "retrain": null,
       "synthetic": false,
       "revision": 1,
       "created": "[instant]",
@@ -53,6 +54,7 @@ async fn all_but_the_name_may_be_left_out() {
       "timezone": null,
       "eaws_region": null,
       "variables": null,
+      "retrain": null,
       "synthetic": false,
       "revision": 1,
       "created": "[instant]",

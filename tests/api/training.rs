@@ -25,14 +25,14 @@ async fn the_first_model_of_a_station_becomes_active() {
     {
       "model_id": "[id]",
       "activated": true,
-      "station": "synthetic",
       "synthetic": true,
       "scores": "[scores]",
       "provenance": {
         "version": "[version]",
         "input_hash": "[hash]",
         "seed": 0
-      }
+      },
+      "station": "synthetic"
     }
     "#);
     let active = trained.app.read("/v1/stations/synthetic/active-model?lead=0").await;
@@ -41,11 +41,13 @@ async fn the_first_model_of_a_station_becomes_active() {
     }, @r#"
     {
       "station": "synthetic",
+      "region": null,
       "synthetic": true,
       "lead": 0,
       "model_id": "[id]",
       "activated": "[instant]",
       "activated_by": null,
+      "reason": "the first model",
       "links": [
         {
           "href": "[path]",
@@ -74,11 +76,15 @@ async fn a_model_says_what_it_was_trained_on() {
     {
       "id": "[id]",
       "station": "synthetic",
+      "region": null,
       "synthetic": true,
       "lead": 0,
       "job": "[id]",
       "created": "[instant]",
       "training": {
+        "stations": [
+          "synthetic"
+        ],
         "label": "observed",
         "feature_set": "expert",
         "feature_set_version": 1,
@@ -142,6 +148,12 @@ async fn a_model_says_what_it_was_trained_on() {
           "rel": "features",
           "type": "application/json",
           "title": "its features"
+        },
+        {
+          "href": "[path]",
+          "rel": "transfers",
+          "type": "application/json",
+          "title": "how it did at other stations"
         }
       ]
     }

@@ -92,9 +92,10 @@ struct Concept(Column, &'static [&'static str], &'static [(&'static str, f64)]);
 const TIMES: &[(&str, f64)] = &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("min", 60.0), ("h", 3600.0)];
 const SHORT_TIMES: &[(&str, f64)] = &[("us", 1.0), ("ns", 1e-3), ("ms", 1e3), ("s", 1e6)];
 const LENGTHS: &[(&str, f64)] = &[("m", 1.0), ("cm", 1e-2), ("mm", 1e-3)];
+const AREAS: &[(&str, f64)] = &[("m2", 1.0), ("mm2", 1e-6)];
 const NONE: &[(&str, f64)] = &[];
 
-const CONCEPTS: [Concept; 13] = [
+const CONCEPTS: [Concept; 21] = [
     Concept(Column::TimeS, &["time", "t", "arrival_time", "toa", "ssssssss.mmmuuun"], TIMES),
     Concept(Column::DurationUs, &["duration", "dur"], SHORT_TIMES),
     Concept(Column::RiseTimeUs, &["rise_time", "risetime", "rise", "riset"], SHORT_TIMES),
@@ -113,6 +114,14 @@ const CONCEPTS: [Concept; 13] = [
     Concept(Column::Strain, &["strain"], &[("1", 1.0), ("%", 1e-2), ("percent", 1e-2)]),
     Concept(Column::StressMpa, &["stress"], &[("mpa", 1.0), ("kpa", 1e-3), ("pa", 1e-6)]),
     Concept(Column::Phase, &["phase"], NONE),
+    Concept(Column::XSeM, &["x_se"], LENGTHS),
+    Concept(Column::YSeM, &["y_se"], LENGTHS),
+    Concept(Column::ZSeM, &["z_se"], LENGTHS),
+    Concept(Column::XyCovM2, &["xy_cov"], AREAS),
+    Concept(Column::XzCovM2, &["xz_cov"], AREAS),
+    Concept(Column::YzCovM2, &["yz_cov"], AREAS),
+    Concept(Column::ResidualUs, &["residual"], SHORT_TIMES),
+    Concept(Column::Channels, &["channels"], NONE),
 ];
 
 const AMPLITUDES: [&str; 6] = ["amplitude", "amp", "ampl", "peak_amplitude", "a0", "a"];

@@ -76,6 +76,11 @@ pub(super) fn with_error(value: f64, se: Option<f64>) -> String {
     }
 }
 
+/// A probability that was found by counting replicates: of none there is only a bound.
+fn probability(p: f64, replicates: usize) -> String {
+    if p > 0.0 { format!("p = {p:.3}") } else { format!("p < {}", rounded(1.0 / replicates.max(1) as f64)) }
+}
+
 /// A number in two significant digits.
 fn rounded(value: f64) -> String {
     let power = 10f64.powf(value.abs().log10().floor() - 1.0);
@@ -87,7 +92,7 @@ fn distribution(of: &Of<'_>, found: &DistributionResult, what: &str, symbol: &st
     let mut told = vec![fit.model.name().replace('_', " ")];
     told.extend(fit.alpha.map(|alpha| format!("exponent {}", with_error(alpha, fit.alpha_se))));
     told.extend(fit.cutoff.map(|cutoff| format!("cut-off {cutoff:.3} {unit}")));
-    told.extend(fit.p_value.map(|p| format!("p = {p:.3}")));
+    told.extend(fit.p_value.map(|p| probability(p, fit.replicates)));
     let told = told.join(", ");
     let curve = |of: fn(&crate::science::emission::analysis::CurvePoint) -> Option<f64>| -> Vec<Point> {
         found.curve.iter().filter_map(|point| Some(Point::new(point.x, of(point)?))).collect()
@@ -252,9 +257,16 @@ fn aftershocks(found: &Aftershocks) -> Plot {
         let rate = class.rate.iter().filter(|bin| bin.events > 0);
         let points = rate.map(|bin| Point::with_error((bin.from_s * bin.to_s).sqrt(), bin.rate_per_s, bin.error_per_s));
         let to = class.to_v.map_or_else(|| "more".to_owned(), |to| format!("{} V", rounded(to)));
-        let p = class.omori.map_or_else(String::new, |omori| format!(", p = {}", with_error(omori.p, omori.p_se)));
+        // without an error the likelihood has its maximum at an end of what was searched: no exponent was found
+        let omori = class.omori.filter(|omori| omori.p_se.is_some());
+        let p = omori.map_or_else(String::new, |omori| format!(", p = {}", with_error(omori.p, omori.p_se)));
         let label = format!("{} V to {to}: {} main shocks{p}", rounded(class.from_v), class.main_shocks);
         series.push(Series::new(label, Mark::Dots, colour, points.collect()));
+        if let Some(omori) = omori {
+            let delays = (0..=60).map(|step| found.window_s * 10f64.powf(-4.0 + f64::from(step) / 15.0));
+            let law = delays.map(|delay| Point::new(delay, omori.rate_per_s(delay))).collect();
+            series.push(Series::new("", Mark::Line, colour, law));
+        }
     }
     let exponent = found.productivity_exponent.map(|a| format!("productivity ~ A₀^{a:.2}"));
     Plot {
@@ -273,6 +285,11 @@ fn activity(of: &Of<'_>, found: &Activity) -> Vec<Figure> {
         Abscissa::Stress => Axis::linear("stress (MPa)"),
         Abscissa::Time => Axis::linear("time (s)"),
     };
+    let rate_unit = match found.against {
+        Abscissa::Strain => "hits per unit of strain",
+        Abscissa::Stress => "hits per MPa",
+        Abscissa::Time => "hits per second",
+    };
     let told = format!("number ~ x^m, m = {}", with_error(found.exponent, Some(found.exponent_se)));
     let rate = found.points.iter().map(|point| Point::with_error(point.to, point.rate, point.rate_error)).collect();
     let total = found.points.last().map_or(1.0, |last| last.cumulative_events as f64);
@@ -286,7 +303,7 @@ fn activity(of: &Of<'_>, found: &Activity) -> Vec<Figure> {
                 title: "Activity".into(),
                 subtitle: told.clone(),
                 x: x(),
-                y: Axis::linear("hits a unit of the abscissa"),
+                y: Axis::linear(rate_unit),
                 legend: Corner::UpperRight,
                 series: vec![Series::new("", Mark::Dots, 0, rate)],
             },

@@ -34,6 +34,7 @@ use crate::{
     store::{
         Store, StoreError,
         jobs::{Answer, Ended, Held, Reservation, Retention},
+        proposals::Due,
     },
 };
 
@@ -283,6 +284,36 @@ impl Desk {
         self.changed(job.id);
         self.ticket(&[(job.id, job.priority.get(), 0)]).await;
         Ok(Submitted::New(answer))
+    }
+
+    /// Accepts a job that the calendar asks for, once: the job and the note that it was taken up are stored together. False
+    /// where it was taken up before.
+    ///
+    /// # Errors
+    /// A [`Problem`] where the inputs cannot be accepted now; then nothing is stored.
+    pub async fn submit_due(
+        &self,
+        process: Process,
+        inputs: &Value,
+        due: &Due,
+        now: Timestamp,
+    ) -> Result<bool, Problem> {
+        if self.0.stopping.is_cancelled() {
+            return Err(Problem::new(Code::ShuttingDown, "no new jobs are taken"));
+        }
+        let store = &self.0.store;
+        let accepted = process.accept(self.shelf(), inputs).await?;
+        if store.waiting_jobs().await.map_err(Problem::internal)? >= self.0.rules.most_waiting {
+            return Err(Problem::new(Code::Overloaded, "too many jobs are waiting"));
+        }
+        let mut job = new_job(process, accepted.inputs, accepted.hash);
+        job.labels.insert("due".to_owned(), due.day.to_string());
+        if !store.take_up(due, Ok(&job), now).await.map_err(Problem::internal)? {
+            return Ok(false);
+        }
+        self.changed(job.id);
+        self.ticket(&[(job.id, job.priority.get(), 0)]).await;
+        Ok(true)
     }
 
     /// Gives up a job that has not ended, and its children; the computation stops within a second.

@@ -5,6 +5,7 @@ use firn_science::emission::{
     analysis::AnalysisError,
     catalogue::{Catalogue, Metadata},
 };
+use jiff::Timestamp;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_bytes::ByteBuf;
 use serde_json::{Value, json};
@@ -15,7 +16,8 @@ use uuid::Uuid;
 use super::{Failure, Shelf, invalid_inputs};
 use crate::{
     domain::{
-        dataset::Dataset,
+        dataset::{self, Columns, Dataset, DatasetBody, DatasetName},
+        ids::new_id,
         job::Job,
         problem::{Code, FieldError, Problem},
     },
@@ -23,7 +25,10 @@ use crate::{
         emission::columns,
         figures::{Figure, ImageFormat},
     },
-    jobs::link::Artifact,
+    jobs::{
+        desk::{COLUMNS, OCTETS},
+        link::{Artifact, Output},
+    },
 };
 
 /// The largest seed: every JSON reader keeps it as it is.
@@ -76,6 +81,8 @@ pub struct Head {
 pub struct Opened {
     /// What is told of it.
     pub head: Head,
+    /// What is true of it, where a generator made it.
+    pub truth: Option<Value>,
     /// The file of its columns.
     pub bytes: Vec<u8>,
 }
@@ -90,7 +97,7 @@ pub async fn open(shelf: Shelf<'_>, id: Uuid, pointer: &str) -> Result<Opened, P
         invalid_inputs(vec![FieldError::new(pointer, "unknown_dataset", detail)])
     })?;
     let bytes = shelf.artifacts.get(&dataset.sha256, 0..dataset.size).await.map_err(Problem::internal)?;
-    Ok(Opened { head: head(dataset), bytes })
+    Ok(Opened { truth: dataset.truth.clone(), head: head(dataset), bytes })
 }
 
 fn head(dataset: Dataset) -> Head {
@@ -119,6 +126,66 @@ fn catalogue(head: &Head, bytes: &[u8]) -> Result<Catalogue, String> {
     Catalogue::new(columns, head.metadata.clone()).map_err(|error| error.to_string())
 }
 
+/// A data set that a job makes, on its way from the worker to the store.
+#[derive(Serialize, Deserialize)]
+pub struct Made {
+    /// Its name.
+    pub name: DatasetName,
+    /// What is known about the test.
+    pub metadata: Metadata,
+    /// What can be seen in it.
+    pub description: dataset::Description,
+    /// What is true of it, where a generator made it or its hits.
+    pub truth: Option<Value>,
+}
+
+/// [`Made`] beside where its columns lie.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    made: Made,
+    sha256: String,
+    size: u64,
+}
+
+impl Made {
+    /// The output of its job: the columns as an artifact, the rest for [`kept`].
+    ///
+    /// # Errors
+    /// [`Failure`] where it cannot be written down.
+    pub fn output(self, columns: &Columns, results: Value) -> Result<Output, Failure> {
+        let bytes = columns::write(columns);
+        let sha256 = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        let kept = Kept { made: self, sha256, size: bytes.len() as u64 };
+        Ok(Output {
+            results,
+            keep: Some(serde_json::to_value(&kept).map_err(science)?),
+            artifacts: vec![Artifact { name: COLUMNS.into(), media_type: OCTETS.into(), bytes, ..Artifact::default() }],
+            ..Output::default()
+        })
+    }
+}
+
+/// The data set that [`Made::output`] wants kept, as the store keeps it.
+///
+/// # Errors
+/// Where it is not what that gave.
+pub fn kept(job: &Job, keep: &Value, now: Timestamp) -> Result<Box<Dataset>, serde_json::Error> {
+    let Kept { made, sha256, size } = serde_json::from_value(keep.clone())?;
+    Ok(Box::new(Dataset {
+        id: new_id(),
+        body: DatasetBody { name: made.name, metadata: made.metadata },
+        description: made.description,
+        truth: made.truth,
+        job: Some(job.id),
+        sha256,
+        size,
+        revision: 1,
+        created: now,
+        created_by: job.submitted_by.clone(),
+        updated: now,
+    }))
+}
+
 /// SHA-256 (hex) of the inputs and of every data set that they name.
 pub fn hash(inputs: &Value, heads: &[&Head]) -> String {
     let mut hasher = Sha256::new();
@@ -136,6 +203,7 @@ struct Payload {
     /// JSON: the inputs are enums that only a format with names can hold.
     inputs: String,
     heads: String,
+    truths: String,
     input_hash: String,
     version: String,
     columns: Vec<ByteBuf>,
@@ -146,12 +214,14 @@ struct Payload {
 /// # Errors
 /// A failure of ours.
 pub fn pack(job: &Job, opened: Vec<Opened>) -> Result<Vec<u8>, Problem> {
+    let truths: Vec<Option<Value>> = opened.iter().map(|opened| opened.truth.clone()).collect();
     let (heads, columns): (Vec<Head>, Vec<ByteBuf>) =
         opened.into_iter().map(|opened| (opened.head, ByteBuf::from(opened.bytes))).unzip();
     let payload = Payload {
         inputs: job.inputs.to_string(),
         input_hash: hash(&job.inputs, &heads.iter().collect::<Vec<_>>()),
         heads: serde_json::to_string(&heads).map_err(Problem::internal)?,
+        truths: serde_json::to_string(&truths).map_err(Problem::internal)?,
         version: job.version.clone(),
         columns,
     };
@@ -164,6 +234,8 @@ pub struct Unpacked<T> {
     pub inputs: T,
     /// What is told of the data sets.
     pub heads: Vec<Head>,
+    /// What is true of them, where a generator made them.
+    pub truths: Vec<Option<Value>>,
     /// Their hits.
     pub catalogues: Vec<Catalogue>,
     /// Version and input hash.
@@ -180,6 +252,7 @@ pub fn unpack<T: DeserializeOwned>(payload: &[u8]) -> Result<Unpacked<T>, Failur
     let catalogues = heads.iter().zip(&payload.columns).map(|(head, bytes)| catalogue(head, bytes));
     Ok(Unpacked {
         inputs: serde_json::from_str(&payload.inputs).map_err(science)?,
+        truths: serde_json::from_str(&payload.truths).map_err(science)?,
         catalogues: catalogues.collect::<Result<_, _>>().map_err(science)?,
         provenance: json!({"version": payload.version, "input_hash": payload.input_hash}),
         heads,

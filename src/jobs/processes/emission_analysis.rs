@@ -199,7 +199,7 @@ pub(super) async fn payload(shelf: Shelf<'_>, job: &Job) -> Result<Vec<u8>, Prob
 /// Analyses and draws.
 pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output, Failure> {
     let unpacked: Unpacked<Complete> = emission::unpack(payload)?;
-    let Unpacked { inputs, heads, catalogues, mut provenance } = unpacked;
+    let Unpacked { inputs, heads, catalogues, mut provenance, .. } = unpacked;
     let (Some(head), Some(catalogue)) = (heads.first(), catalogues.first()) else {
         return Err(Failure::Science("there is no data set".into()));
     };

@@ -112,7 +112,7 @@ pub(super) async fn payload(shelf: Shelf<'_>, job: &Job) -> Result<Vec<u8>, Prob
 /// Compares and draws.
 pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output, Failure> {
     let unpacked: Unpacked<Inputs> = emission::unpack(payload)?;
-    let Unpacked { inputs, heads, catalogues, mut provenance } = unpacked;
+    let Unpacked { inputs, heads, catalogues, mut provenance, .. } = unpacked;
     let sets: Vec<&Catalogue> = catalogues.iter().collect();
     let found = compare::compare(&sets, &inputs.options, inputs.seed, progress).map_err(emission::failure)?;
     provenance["seed"] = json!(inputs.seed);

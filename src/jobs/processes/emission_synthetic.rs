@@ -4,12 +4,10 @@
 use firn_science::{
     emission::{
         EmissionError,
-        catalogue::Metadata,
         synthetic::{SyntheticOptions, Truth, synthetic},
     },
     progress::Progress,
 };
-use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
@@ -17,22 +15,17 @@ use utoipa::ToSchema;
 
 use super::{
     Accepted, Description, Failure,
-    emission::{check_seed, field_error, science},
+    emission::{Made, check_seed, field_error, science},
     invalid_inputs,
 };
 use crate::{
     domain::{
-        dataset::{self, Dataset, DatasetBody, DatasetName, Source},
-        ids::new_id,
+        dataset::{self, DatasetName, Source},
         job::Job,
         problem::{FieldError, Problem},
         schema,
     },
-    formats::emission::columns,
-    jobs::{
-        desk::{COLUMNS, OCTETS},
-        link::{Artifact, Output},
-    },
+    jobs::link::Output,
 };
 
 /// Its id in every address.
@@ -113,8 +106,10 @@ fn joined(own: &Own, options: &SyntheticOptions) -> Result<Value, serde_json::Er
 pub(super) fn accept(inputs: &Value) -> Result<Accepted, Problem> {
     let (own, options) = split(inputs).map_err(invalid_inputs)?;
     let mut faults: Vec<FieldError> = check_seed(own.seed).into_iter().collect();
-    if options.events > MOST_EVENTS {
-        let detail = format!("must be 1 to {MOST_EVENTS}, not {}", options.events);
+    // a hit a sensor
+    let most = if options.hits.is_some() { MOST_EVENTS / 8 } else { MOST_EVENTS };
+    if options.events > most {
+        let detail = format!("must be 1 to {most}, not {}", options.events);
         faults.push(FieldError::new("/inputs/events", "out_of_range", detail));
     } else if let Err(error) = synthetic(&SyntheticOptions { events: options.events.min(1), ..options.clone() }, 0) {
         faults.push(field_error(&error, "/inputs", "/inputs"));
@@ -141,17 +136,6 @@ pub(super) fn payload(job: &Job) -> Result<Vec<u8>, Problem> {
     serde_json::to_vec(&payload).map_err(Problem::internal)
 }
 
-/// What is kept beside the job.
-#[derive(Serialize, Deserialize)]
-struct Kept {
-    name: DatasetName,
-    metadata: Metadata,
-    description: dataset::Description,
-    truth: Value,
-    sha256: String,
-    size: u64,
-}
-
 /// Makes a catalogue.
 pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output, Failure> {
     let payload: Payload = serde_json::from_slice(payload).map_err(science)?;
@@ -168,16 +152,10 @@ pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output,
     let source = Source { format: "synthetic".into(), bytes: 0, sha256: payload.input_hash.clone() };
     let note = "made by a generator: no measurement".to_owned();
     let description = dataset::Description::of(&catalogue, Vec::new(), vec![note], source);
-    let bytes = columns::write(&catalogue.into_columns());
-    let sha256 = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-    let kept = Kept { name: own.name, metadata, description, truth: truth.clone(), sha256, size: bytes.len() as u64 };
     let provenance = json!({"version": payload.version, "input_hash": payload.input_hash, "seed": own.seed});
-    Ok(Output {
-        results: json!({"truth": truth, "provenance": provenance}),
-        keep: Some(serde_json::to_value(&kept).map_err(science)?),
-        artifacts: vec![Artifact { name: COLUMNS.into(), media_type: OCTETS.into(), bytes, ..Artifact::default() }],
-        ..Output::default()
-    })
+    let results = json!({"truth": truth, "provenance": provenance});
+    let made = Made { name: own.name, metadata, description, truth: Some(truth) };
+    made.output(&catalogue.into_columns(), results)
 }
 
 /// What is true of the catalogue, and what it was made with.
@@ -185,22 +163,4 @@ fn truth_of(truth: &Truth, options: &SyntheticOptions) -> Result<Value, serde_js
     let mut value = serde_json::to_value(truth)?;
     value["generator"] = serde_json::to_value(options)?;
     Ok(value)
-}
-
-/// The data set as the store keeps it.
-pub(super) fn kept(job: &Job, keep: &Value, now: Timestamp) -> Result<Box<Dataset>, serde_json::Error> {
-    let kept: Kept = serde_json::from_value(keep.clone())?;
-    Ok(Box::new(Dataset {
-        id: new_id(),
-        body: DatasetBody { name: kept.name, metadata: kept.metadata },
-        description: kept.description,
-        truth: Some(kept.truth),
-        job: Some(job.id),
-        sha256: kept.sha256,
-        size: kept.size,
-        revision: 1,
-        created: now,
-        created_by: job.submitted_by.clone(),
-        updated: now,
-    }))
 }

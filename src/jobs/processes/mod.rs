@@ -4,7 +4,10 @@ pub mod echo;
 mod emission;
 pub mod emission_analysis;
 pub mod emission_comparison;
+pub mod emission_location;
 pub mod emission_synthetic;
+pub mod evaluate_transfer;
+pub mod retrain_model;
 pub mod runout;
 pub mod select_features;
 pub mod train_model;
@@ -42,12 +45,18 @@ pub enum Process {
     TrainModel,
     /// Finds how many features a model of a station takes.
     SelectFeatures,
+    /// Scores a model at a station that it was not trained at.
+    EvaluateTransfer,
+    /// Trains the recipe of the active model on the days there are now, as a proposal.
+    RetrainModel,
     /// Simulates the run-out of an avalanche.
     Runout,
     /// Analyses a data set of acoustic emission.
     EmissionAnalysis,
     /// Compares several data sets of acoustic emission.
     EmissionComparison,
+    /// Groups the hits of a data set into events and locates them.
+    EmissionLocation,
     /// Makes a data set of acoustic emission with known truth.
     EmissionSynthetic,
 }
@@ -89,13 +98,16 @@ pub struct Description {
 
 impl Process {
     /// Every process.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 10] = [
         Self::Echo,
         Self::TrainModel,
         Self::SelectFeatures,
+        Self::EvaluateTransfer,
+        Self::RetrainModel,
         Self::Runout,
         Self::EmissionAnalysis,
         Self::EmissionComparison,
+        Self::EmissionLocation,
         Self::EmissionSynthetic,
     ];
 
@@ -106,9 +118,12 @@ impl Process {
             Self::Echo => echo::ID,
             Self::TrainModel => train_model::ID,
             Self::SelectFeatures => select_features::ID,
+            Self::EvaluateTransfer => evaluate_transfer::ID,
+            Self::RetrainModel => retrain_model::ID,
             Self::Runout => runout::ID,
             Self::EmissionAnalysis => emission_analysis::ID,
             Self::EmissionComparison => emission_comparison::ID,
+            Self::EmissionLocation => emission_location::ID,
             Self::EmissionSynthetic => emission_synthetic::ID,
         }
     }
@@ -126,9 +141,12 @@ impl Process {
             Self::Echo => echo::description(),
             Self::TrainModel => train_model::description(),
             Self::SelectFeatures => select_features::description(),
+            Self::EvaluateTransfer => evaluate_transfer::description(),
+            Self::RetrainModel => retrain_model::description(),
             Self::Runout => runout::description(),
             Self::EmissionAnalysis => emission_analysis::description(),
             Self::EmissionComparison => emission_comparison::description(),
+            Self::EmissionLocation => emission_location::description(),
             Self::EmissionSynthetic => emission_synthetic::description(),
         }
     }
@@ -136,8 +154,8 @@ impl Process {
     /// Whether the same inputs always give the same results, so that they need not be computed twice.
     #[must_use]
     pub const fn is_pure(self) -> bool {
-        // each run of the generator gives a data set of its own, which its owner may remove
-        !matches!(self, Self::Echo | Self::EmissionSynthetic)
+        // each run that makes a data set gives one of its own, which its owner may remove
+        !matches!(self, Self::Echo | Self::EmissionLocation | Self::EmissionSynthetic)
     }
 
     /// Checks inputs as far as that can be done without computing.
@@ -149,9 +167,12 @@ impl Process {
             Self::Echo => echo::accept(inputs),
             Self::TrainModel => train_model::accept(shelf.store, inputs).await,
             Self::SelectFeatures => select_features::accept(shelf.store, inputs).await,
+            Self::EvaluateTransfer => evaluate_transfer::accept(shelf.store, inputs).await,
+            Self::RetrainModel => retrain_model::accept(shelf.store, inputs).await,
             Self::Runout => runout::accept(inputs, shelf.runout_memory_bytes),
             Self::EmissionAnalysis => emission_analysis::accept(shelf, inputs).await,
             Self::EmissionComparison => emission_comparison::accept(shelf, inputs).await,
+            Self::EmissionLocation => emission_location::accept(shelf, inputs).await,
             Self::EmissionSynthetic => emission_synthetic::accept(inputs),
         }
     }
@@ -173,9 +194,12 @@ impl Process {
             }
             Self::TrainModel => return train_model::payload(shelf.store, job).await,
             Self::SelectFeatures => return select_features::payload(shelf.store, job).await,
+            Self::EvaluateTransfer => return evaluate_transfer::payload(shelf.store, job).await,
+            Self::RetrainModel => return retrain_model::payload(shelf.store, job).await,
             Self::Runout => runout::payload(job, shelf.runout_memory_bytes),
             Self::EmissionAnalysis => emission_analysis::payload(shelf, job).await,
             Self::EmissionComparison => emission_comparison::payload(shelf, job).await,
+            Self::EmissionLocation => emission_location::payload(shelf, job).await,
             Self::EmissionSynthetic => emission_synthetic::payload(job),
         }?;
         Ok(Payload { bytes, input_hash: job.input_hash.clone() })
@@ -190,9 +214,12 @@ impl Process {
             Self::Echo => echo::compute(payload, progress),
             Self::TrainModel => train_model::compute(payload, progress),
             Self::SelectFeatures => select_features::compute(payload, progress),
+            Self::EvaluateTransfer => evaluate_transfer::compute(payload, progress),
+            Self::RetrainModel => retrain_model::compute(payload, progress),
             Self::Runout => runout::compute(payload, progress),
             Self::EmissionAnalysis => emission_analysis::compute(payload, progress),
             Self::EmissionComparison => emission_comparison::compute(payload, progress),
+            Self::EmissionLocation => emission_location::compute(payload, progress),
             Self::EmissionSynthetic => emission_synthetic::compute(payload, progress),
         }
     }
@@ -203,9 +230,15 @@ impl Process {
     /// Where it is not what [`Process::compute`] gives.
     pub fn kept(self, job: &Job, keep: &Value, now: Timestamp) -> Result<Kept, serde_json::Error> {
         match self {
-            Self::EmissionSynthetic => emission_synthetic::kept(job, keep, now).map(Kept::Dataset),
+            Self::EmissionLocation | Self::EmissionSynthetic => emission::kept(job, keep, now).map(Kept::Dataset),
             Self::SelectFeatures => {
                 select_features::kept(job.id, keep).map(|selection| Kept::Selection(Box::new(selection)))
+            }
+            Self::EvaluateTransfer => {
+                evaluate_transfer::kept(job.id, keep).map(|transfer| Kept::Transfer(Box::new(transfer)))
+            }
+            Self::RetrainModel => {
+                retrain_model::kept(job.id, keep, now).map(|proposal| Kept::Proposal(Box::new(proposal)))
             }
             _ => train_model::kept(job.id, keep, now).map(|model| Kept::Model(Box::new(model))),
         }

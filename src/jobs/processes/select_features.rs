@@ -4,7 +4,7 @@ use firn_science::{
     forecast::{
         day::{DayRecord, Label, Variable},
         features::FeatureSetId,
-        model::{self, TrainingError},
+        model,
         selection::{self, FeatureSelection},
         svm::KernelFamily,
     },
@@ -18,12 +18,12 @@ use uuid::Uuid;
 
 use super::{
     Accepted, Description, invalid_inputs,
-    train_model::{self, Prepared, station_schema},
+    train_model::{self, region_schema, station_schema},
 };
 use crate::{
     domain::{
         date,
-        ids::StationId,
+        ids::{Place, RegionId, StationId},
         job::Job,
         problem::{FieldError, Problem},
         schema,
@@ -47,9 +47,14 @@ pub const ID: &str = "select-features";
 #[serde(deny_unknown_fields)]
 #[schema(as = SelectionInputs)]
 pub struct Inputs {
-    /// The station whose observations are used.
+    /// The station whose observations are used; name a station or a region.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = station_schema)]
-    pub station: StationId,
+    pub station: Option<StationId>,
+    /// The region whose stations are used together.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(schema_with = region_schema)]
+    pub region: Option<RegionId>,
     /// What counts as an avalanche day: `observed` (an avalanche was seen) or `presumed` (seen or judged likely).
     #[schema(value_type = String, pattern = "^(observed|presumed)$", example = "observed")]
     pub label: Label,
@@ -75,6 +80,7 @@ impl Inputs {
     fn training(&self) -> train_model::Inputs {
         train_model::Inputs {
             station: self.station.clone(),
+            region: self.region.clone(),
             label: self.label,
             lead: self.lead,
             feature_set: self.feature_set,
@@ -118,7 +124,7 @@ pub fn description() -> Description {
 
 /// Checks the inputs against their schema, the station and the window.
 pub(super) async fn accept(store: &Store, inputs: &Value) -> Result<Accepted, Problem> {
-    let read: Inputs = schema::read(inputs, "/inputs").map_err(invalid_inputs)?;
+    let read: Inputs = train_model::read_of_place(inputs)?;
     let mut faults = Vec::new();
     if read.lead > model::LONGEST_LEAD {
         faults.push(FieldError::new("/inputs/lead", "out_of_range", "must be 0 (nowcast) or 1 (tomorrow)"));
@@ -128,13 +134,14 @@ pub(super) async fn accept(store: &Store, inputs: &Value) -> Result<Accepted, Pr
     {
         faults.push(FieldError::new("/inputs/to", "out_of_range", format!("must not be before from, {from}")));
     }
+    faults.extend(train_model::place_fault(read.station.as_ref(), read.region.as_ref()));
     if !faults.is_empty() {
         return Err(invalid_inputs(faults));
     }
     let training = read.training();
-    let Prepared { station, days, options } = train_model::prepare(store, &training).await?;
-    model::check(&days, &options).map_err(|error| train_model::refused_window(&error))?;
-    let hash = train_model::hash(&training, &station, &days);
+    let prepared = train_model::prepare(store, &training).await?;
+    model::check_pooled(&prepared.parts(), &prepared.options).map_err(|error| train_model::refused_window(&error))?;
+    let hash = train_model::hash(&training, &prepared);
     Ok(Accepted { inputs: serde_json::to_value(&read).map_err(Problem::internal)?, hash })
 }
 
@@ -142,25 +149,27 @@ pub(super) async fn accept(store: &Store, inputs: &Value) -> Result<Accepted, Pr
 #[derive(Serialize, Deserialize)]
 struct Payload {
     inputs: Inputs,
+    place: Place,
     synthetic: bool,
     reported: Vec<Variable>,
     input_hash: String,
     version: String,
-    days: Vec<DayRecord>,
+    days: Vec<Vec<DayRecord>>,
 }
 
 /// The days as they are now.
 pub(super) async fn payload(store: &Store, job: &Job) -> Result<super::Payload, Problem> {
     let inputs: Inputs = serde_json::from_value(job.inputs.clone()).map_err(Problem::internal)?;
     let training = inputs.training();
-    let Prepared { station, days, options } = train_model::prepare(store, &training).await?;
+    let prepared = train_model::prepare(store, &training).await?;
     let payload = Payload {
-        synthetic: station.synthetic,
-        reported: options.reported,
-        input_hash: train_model::hash(&training, &station, &days),
+        place: prepared.place.clone(),
+        synthetic: prepared.is_synthetic(),
+        input_hash: train_model::hash(&training, &prepared),
+        reported: prepared.options.reported,
         version: job.version.clone(),
         inputs,
-        days,
+        days: prepared.days,
     };
     let bytes = serde_json::to_vec(&payload).map_err(Problem::internal)?;
     Ok(super::Payload { bytes, input_hash: payload.input_hash })
@@ -170,15 +179,13 @@ pub(super) async fn payload(store: &Store, job: &Job) -> Result<super::Payload, 
 pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output, Failure> {
     let payload: Payload = serde_json::from_slice(payload).map_err(train_model::science)?;
     let options = train_model::options(&payload.inputs.training(), payload.reported);
-    let selection = selection::select(&payload.days, &options, progress).map_err(|error| match error {
-        TrainingError::Cancelled => Failure::Cancelled,
-        error => Failure::Science(error.to_string()),
-    })?;
+    let days: Vec<&[DayRecord]> = payload.days.iter().map(Vec::as_slice).collect();
+    let selection = selection::select_pooled(&days, &options, progress).map_err(train_model::failed)?;
     let picture = picture(&selection, payload.synthetic).map_err(|error| Failure::Science(error.to_string()))?;
     // nothing of an elimination is drawn by lot: the seed is that of the trainings that it is for
     let seed = payload.inputs.training().seed;
     let record = SelectionRecord {
-        station: payload.inputs.station,
+        place: payload.place,
         synthetic: payload.synthetic,
         selection,
         provenance: json!({"version": payload.version, "input_hash": payload.input_hash, "seed": seed}),

@@ -1,9 +1,9 @@
-//! The process `train-model`: observations of a station in, an evaluated model in the registry out.
+//! The process `train-model`: observations of a station or region in, an evaluated model in the registry out.
 
 use firn_science::forecast::{
     day::{DayRecord, Label, Variable},
     features::FeatureSetId,
-    model::{self, FeatureChoice, TrainedModel, TrainingError, TrainingOptions},
+    model::{self, FeatureChoice, Trained, TrainedModel, TrainingError, TrainingOptions},
     svm::{Grid, KernelFamily},
     verification::ThresholdRule,
 };
@@ -22,9 +22,10 @@ use super::{Accepted, Description, invalid_inputs};
 use crate::{
     domain::{
         date,
-        ids::{StationId, new_id},
+        ids::{Place, RegionId, StationId, new_id},
         job::Job,
         problem::{Code, FieldError, Problem},
+        region::{AvalancheDay, Region},
         schema,
         station::Station,
     },
@@ -45,9 +46,14 @@ const ALWAYS: (Date, Date) = (Date::constant(0, 1, 1), Date::constant(9999, 12, 
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Inputs {
-    /// The station whose observations train the model.
+    /// The station whose observations train the model; name a station or a region.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = station_schema)]
-    pub station: StationId,
+    pub station: Option<StationId>,
+    /// The region whose stations feed the model together; its avalanche days are the region's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(schema_with = region_schema)]
+    pub region: Option<RegionId>,
     /// What counts as an avalanche day: `observed` (an avalanche was seen) or `presumed` (seen or judged likely).
     #[schema(value_type = String, pattern = "^(observed|presumed)$", example = "observed")]
     pub label: Label,
@@ -99,7 +105,15 @@ pub(super) fn station_schema() -> Object {
     ObjectBuilder::new()
         .schema_type(Type::String)
         .pattern(Some(StationId::PATTERN))
-        .description(Some("The station whose observations train the model."))
+        .description(Some("The station whose observations are used; name a station or a region."))
+        .build()
+}
+
+pub(super) fn region_schema() -> Object {
+    ObjectBuilder::new()
+        .schema_type(Type::String)
+        .pattern(Some(RegionId::PATTERN))
+        .description(Some("The region whose stations feed the model together; name a station or a region."))
         .build()
 }
 
@@ -117,13 +131,14 @@ pub fn description() -> Description {
     Description {
         id: ID,
         title: "Train an avalanche-day forecasting model",
-        description: "Trains a support vector machine on the observations of a station, evaluates it beside climatology, \
-                      persistence, nearest neighbours and logistic regression with every season left out once, and puts \
-                      it into the registry of models. The first model of a station and lead becomes its active one.",
+        description: "Trains a support vector machine on the observations of a station, or of all stations of a region, \
+                      evaluates it beside climatology, persistence, nearest neighbours and logistic regression with every \
+                      season left out once, and puts it into the registry of models. The first model of a station or region \
+                      and lead becomes its active one.",
         inputs: schema::schema_of::<Inputs>(),
         outputs: json!({
             "model_id": {"title": "Id of the new model", "schema": {"type": "string", "format": "uuid"}},
-            "activated": {"title": "Whether it became the active model of its station", "schema": {"type": "boolean"}},
+            "activated": {"title": "Whether it became the active model of its station or region", "schema": {"type": "boolean"}},
             "scores": {"title": "Scores of the machine with every season left out once", "schema": {"type": "object"}},
             "provenance": {"title": "Version, input hash and seed", "schema": {"type": "object"}},
         }),
@@ -133,26 +148,40 @@ pub fn description() -> Description {
 
 /// Everything that training needs, read from the store.
 pub(super) struct Prepared {
-    pub(super) station: Station,
-    pub(super) days: Vec<DayRecord>,
+    pub(super) place: Place,
+    pub(super) region: Option<Region>,
+    /// The station, or those of the region in their order.
+    pub(super) stations: Vec<Station>,
+    /// The days of each station; of a region with its avalanche activity.
+    pub(super) days: Vec<Vec<DayRecord>>,
     pub(super) options: TrainingOptions,
 }
 
-/// Checks the inputs against their schema, the station and the training window.
+impl Prepared {
+    /// The days of each station, as the science takes them.
+    pub(super) fn parts(&self) -> Vec<&[DayRecord]> {
+        self.days.iter().map(Vec::as_slice).collect()
+    }
+
+    /// Whether any of the days come from a generator.
+    pub(super) fn is_synthetic(&self) -> bool {
+        self.stations.iter().any(|station| station.synthetic)
+    }
+}
+
+/// Checks the inputs against their schema, the station or region and the training window.
 pub(super) async fn accept(store: &Store, inputs: &Value) -> Result<Accepted, Problem> {
     let mut inputs: Inputs = read(inputs)?;
     take_selection(store, &mut inputs).await?;
     let prepared = prepare(store, &inputs).await?;
-    let options = prepared.options;
-    let days = prepared.days;
-    let hash = hash(&inputs, &prepared.station, &days);
-    model::check(&days, &options).map_err(|error| refused_window(&error))?;
+    model::check_pooled(&prepared.parts(), &prepared.options).map_err(|error| refused_window(&error))?;
+    let hash = hash(&inputs, &prepared);
     let inputs = serde_json::to_value(&inputs).map_err(Problem::internal)?;
     Ok(Accepted { inputs, hash })
 }
 
 fn read(inputs: &Value) -> Result<Inputs, Problem> {
-    let read: Inputs = schema::read(inputs, "/inputs").map_err(invalid_inputs)?;
+    let read: Inputs = read_of_place(inputs)?;
     let mut faults = Vec::new();
     if read.lead > 1 {
         faults.push(FieldError::new("/inputs/lead", "out_of_range", "must be 0 (nowcast) or 1 (tomorrow)"));
@@ -178,7 +207,30 @@ fn read(inputs: &Value) -> Result<Inputs, Problem> {
     if read.feature_count.is_some_and(|count| !(1..=1000).contains(&count)) {
         faults.push(FieldError::new("/inputs/feature_count", "out_of_range", "must be from 1 to 1000"));
     }
+    faults.extend(place_fault(read.station.as_ref(), read.region.as_ref()));
     if faults.is_empty() { Ok(read) } else { Err(invalid_inputs(faults)) }
+}
+
+/// Reads inputs that name a station or a region: where they cannot be read, that they name neither is said with the rest.
+pub(super) fn read_of_place<T: serde::de::DeserializeOwned + ToSchema + 'static>(inputs: &Value) -> Result<T, Problem> {
+    schema::read(inputs, "/inputs").map_err(|mut faults| {
+        if inputs.is_object() && inputs.get("station").is_none() && inputs.get("region").is_none() {
+            faults.extend(place_fault(None, None));
+        }
+        invalid_inputs(faults)
+    })
+}
+
+/// What is wrong where not exactly one place is named.
+pub(super) fn place_fault(station: Option<&StationId>, region: Option<&RegionId>) -> Option<FieldError> {
+    match (station, region) {
+        (None, None) => Some(FieldError::new("/inputs/station", "missing", "is missing: name a station or a region")),
+        (Some(_), Some(_)) => {
+            let detail = "must be left out where a station is named: name a station or a region";
+            Some(FieldError::new("/inputs/region", "contradiction", detail))
+        }
+        _ => None,
+    }
 }
 
 /// Looks the named selection up, which must be one of the same task, and takes the number that it proposes.
@@ -190,11 +242,12 @@ async fn take_selection(store: &Store, inputs: &mut Inputs) -> Result<(), Proble
         fault("unknown_selection", format!("must be a successful job of the process select-features; {job} is none"))
     })?;
     let found = &record.selection;
-    let same = record.station == inputs.station
+    let same = record.place.station() == inputs.station.as_ref()
+        && record.place.region() == inputs.region.as_ref()
         && (found.label, found.lead, found.feature_set) == (inputs.label, inputs.lead, inputs.feature_set)
         && found.feature_set_version == inputs.feature_set.version();
     if !same {
-        let detail = "must be one of the same station, label, lead, feature set and its version".to_owned();
+        let detail = "must be one of the same station or region, label, lead, feature set and its version".to_owned();
         return Err(fault("selection_mismatch", detail));
     }
     inputs.feature_count = inputs.feature_count.or_else(|| u32::try_from(found.proposed).ok());
@@ -202,16 +255,50 @@ async fn take_selection(store: &Store, inputs: &mut Inputs) -> Result<(), Proble
 }
 
 pub(super) async fn prepare(store: &Store, inputs: &Inputs) -> Result<Prepared, Problem> {
-    let station = store.station(&inputs.station).await.map_err(Problem::internal)?.ok_or_else(|| {
-        let detail =
-            format!("there is no station {}; create it with PUT /v1/stations/{}", inputs.station, inputs.station);
-        invalid_inputs(vec![FieldError::new("/inputs/station", "unknown_station", detail)])
-    })?;
     let (from, to) = (inputs.from.unwrap_or(ALWAYS.0), inputs.to.unwrap_or(ALWAYS.1));
+    if let Some(id) = &inputs.region {
+        let region = region(store, id).await?;
+        let mut stations = Vec::with_capacity(region.body.stations.len());
+        for id in &region.body.stations {
+            stations.push(station(store, id).await?);
+        }
+        let days = store.regional_days(&region, inputs.label, from, to).await.map_err(Problem::internal)?;
+        let reported = shared(&stations, &days);
+        let options = options(inputs, reported);
+        return Ok(Prepared { place: Place::Region(id.clone()), region: Some(region), stations, days, options });
+    }
+    let Some(id) = &inputs.station else {
+        return Err(invalid_inputs(place_fault(None, None).into_iter().collect()));
+    };
+    let station = station(store, id).await?;
     let days = store.day_records(&station.id, from, to).await.map_err(Problem::internal)?;
-    let reported = station.body.variables.clone().unwrap_or_else(|| appearing(&days));
-    let options = options(inputs, reported);
-    Ok(Prepared { station, days, options })
+    let options = options(inputs, reported(&station, &days));
+    Ok(Prepared { place: Place::Station(id.clone()), region: None, stations: vec![station], days: vec![days], options })
+}
+
+pub(super) async fn station(store: &Store, id: &StationId) -> Result<Station, Problem> {
+    store.station(id).await.map_err(Problem::internal)?.ok_or_else(|| {
+        let detail = format!("there is no station {id}; create it with PUT /v1/stations/{id}");
+        invalid_inputs(vec![FieldError::new("/inputs/station", "unknown_station", detail)])
+    })
+}
+
+pub(super) async fn region(store: &Store, id: &RegionId) -> Result<Region, Problem> {
+    store.region(id).await.map_err(Problem::internal)?.ok_or_else(|| {
+        let detail = format!("there is no region {id}; create it with PUT /v1/regions/{id}");
+        invalid_inputs(vec![FieldError::new("/inputs/region", "unknown_region", detail)])
+    })
+}
+
+/// The variables that a station reports: what its owner says, or what its days have.
+pub(super) fn reported(station: &Station, days: &[DayRecord]) -> Vec<Variable> {
+    station.body.variables.clone().unwrap_or_else(|| appearing(days))
+}
+
+/// The variables that every station of a region reports: one that some lack would tell the machine which station it sees.
+fn shared(stations: &[Station], days: &[Vec<DayRecord>]) -> Vec<Variable> {
+    let each: Vec<Vec<Variable>> = stations.iter().zip(days).map(|(station, days)| reported(station, days)).collect();
+    Variable::ALL.into_iter().filter(|variable| each.iter().all(|reported| reported.contains(variable))).collect()
 }
 
 pub(super) fn options(inputs: &Inputs, reported: Vec<Variable>) -> TrainingOptions {
@@ -255,10 +342,22 @@ pub(super) fn refused_window(error: &TrainingError) -> Problem {
 }
 
 /// SHA-256 (hex) of the inputs and of every value of every day of the window.
-pub(super) fn hash(inputs: &Inputs, station: &Station, days: &[DayRecord]) -> String {
+pub(super) fn hash(inputs: &Inputs, prepared: &Prepared) -> String {
     let mut hasher = Sha256::new();
-    let text = serde_json::to_string(&(inputs, &station.body.variables)).unwrap_or_default();
-    hasher.update(text.as_bytes());
+    let of_stations = match (&prepared.region, prepared.stations.as_slice()) {
+        (None, [station]) => serde_json::to_string(&(inputs, &station.body.variables)),
+        (region, stations) => {
+            let rule = region.as_ref().map(|region| region.body.avalanche_day);
+            let stations: Vec<_> = stations.iter().map(|station| (&station.id, &station.body.variables)).collect();
+            serde_json::to_string(&(inputs, rule, stations))
+        }
+    };
+    hasher.update(of_stations.unwrap_or_default().as_bytes());
+    prepared.days.iter().for_each(|days| hash_days(&mut hasher, days));
+    hex(hasher)
+}
+
+pub(super) fn hash_days(hasher: &mut Sha256, days: &[DayRecord]) {
     for day in days {
         hasher.update(day.date.to_string().as_bytes());
         for value in day.values {
@@ -267,24 +366,44 @@ pub(super) fn hash(inputs: &Inputs, station: &Station, days: &[DayRecord]) -> St
         }
         hasher.update([day.activity as u8]);
     }
+}
+
+pub(super) fn hex(hasher: Sha256) -> String {
     hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// What a worker gets: it has no store.
 #[derive(Serialize, Deserialize)]
-struct Payload {
-    inputs: Inputs,
-    synthetic: bool,
+pub(super) struct Payload {
+    pub(super) inputs: Inputs,
+    pub(super) synthetic: bool,
     reported: Vec<Variable>,
-    input_hash: String,
+    stations: Vec<StationId>,
+    /// The region as it was: its revision, and what its avalanche days are.
+    region: Option<(u32, AvalancheDay)>,
+    pub(super) input_hash: String,
     version: String,
-    days: Vec<DayRecord>,
+    days: Vec<Vec<DayRecord>>,
+}
+
+impl Payload {
+    pub(super) fn parts(&self) -> Vec<&[DayRecord]> {
+        self.days.iter().map(Vec::as_slice).collect()
+    }
+
+    pub(super) fn options(&self) -> TrainingOptions {
+        options(&self.inputs, self.reported.clone())
+    }
+
+    pub(super) fn provenance(&self) -> Value {
+        json!({"version": self.version, "input_hash": self.input_hash, "seed": self.inputs.seed})
+    }
 }
 
 /// What is kept beside the job.
 #[derive(Serialize, Deserialize)]
-struct Kept {
-    station: StationId,
+pub(super) struct Kept {
+    place: Place,
     lead: u8,
     #[serde(default)]
     selection: Option<Uuid>,
@@ -296,43 +415,73 @@ struct Kept {
 /// The days as they are now: what was edited while the job waited counts, and the provenance says so.
 pub(super) async fn payload(store: &Store, job: &Job) -> Result<super::Payload, Problem> {
     let inputs: Inputs = serde_json::from_value(job.inputs.clone()).map_err(Problem::internal)?;
-    let Prepared { station, days, options } = prepare(store, &inputs).await?;
-    let payload = Payload {
-        synthetic: station.synthetic,
-        reported: options.reported,
-        input_hash: hash(&inputs, &station, &days),
-        version: job.version.clone(),
-        inputs,
-        days,
-    };
+    let payload = gather(store, inputs, &job.version).await?;
     let bytes = serde_json::to_vec(&payload).map_err(Problem::internal)?;
     Ok(super::Payload { bytes, input_hash: payload.input_hash })
+}
+
+/// What a worker needs for a training.
+pub(super) async fn gather(store: &Store, inputs: Inputs, version: &str) -> Result<Payload, Problem> {
+    let prepared = prepare(store, &inputs).await?;
+    Ok(Payload {
+        synthetic: prepared.is_synthetic(),
+        input_hash: hash(&inputs, &prepared),
+        reported: prepared.options.reported,
+        stations: prepared.stations.into_iter().map(|station| station.id).collect(),
+        region: prepared.region.map(|region| (region.revision, region.body.avalanche_day)),
+        version: version.to_owned(),
+        inputs,
+        days: prepared.days,
+    })
 }
 
 /// Trains and evaluates.
 pub(super) fn compute(payload: &[u8], progress: &dyn Progress) -> Result<Output, Failure> {
     let payload: Payload = serde_json::from_slice(payload).map_err(science)?;
-    let options = options(&payload.inputs, payload.reported);
-    let trained = model::train(&payload.days, &options, progress).map_err(|error| match error {
+    let trained = model::train_pooled(&payload.parts(), &payload.options(), progress).map_err(failed)?;
+    let (mut results, kept) = outcome(&payload, &trained)?;
+    place_of(&payload.inputs, &mut results);
+    let keep = serde_json::to_value(&kept).map_err(science)?;
+    Ok(Output { results, keep: Some(keep), ..Output::default() })
+}
+
+pub(super) fn failed(error: TrainingError) -> Failure {
+    match error {
         TrainingError::Cancelled => Failure::Cancelled,
         error => Failure::Science(error.to_string()),
-    })?;
-    let inputs = payload.inputs;
-    let provenance = json!({"version": payload.version, "input_hash": payload.input_hash, "seed": inputs.seed});
+    }
+}
+
+/// Adds the station or region to the results.
+fn place_of(inputs: &Inputs, results: &mut Value) {
+    if let Some(station) = &inputs.station {
+        results["station"] = json!(station);
+    }
+    if let Some(region) = &inputs.region {
+        results["region"] = json!(region);
+    }
+}
+
+/// The results of a training, and the model to keep.
+pub(super) fn outcome(payload: &Payload, trained: &Trained) -> Result<(Value, Kept), Failure> {
+    let inputs = &payload.inputs;
+    let provenance = payload.provenance();
     let scores = serde_json::to_value(trained.evaluation.scores.svm).map_err(science)?;
-    let results = json!({
-        "station": inputs.station, "synthetic": payload.synthetic, "scores": scores, "provenance": provenance,
-    });
+    let results = json!({"synthetic": payload.synthetic, "scores": scores, "provenance": provenance});
+    let place = match (&inputs.station, &inputs.region) {
+        (_, Some(region)) => Place::Region(region.clone()),
+        (Some(station), None) => Place::Station(station.clone()),
+        (None, None) => return Err(Failure::Science("the inputs name neither a station nor a region".to_owned())),
+    };
     let kept = Kept {
-        station: inputs.station,
+        place,
         lead: inputs.lead,
         selection: inputs.selection,
-        summary: summary(&trained.model, &options.features, payload.synthetic, &provenance, &scores),
+        summary: summary(payload, &trained.model, &provenance, &scores),
         machine: serde_json::to_value(&trained.model).map_err(science)?,
         evaluation: serde_json::to_value(&trained.evaluation).map_err(science)?,
     };
-    let keep = serde_json::to_value(&kept).map_err(science)?;
-    Ok(Output { results, keep: Some(keep), ..Output::default() })
+    Ok((results, kept))
 }
 
 /// The model as the registry keeps it.
@@ -340,7 +489,7 @@ pub(super) fn kept(job: Uuid, keep: &Value, now: Timestamp) -> Result<NewModel, 
     let kept: Kept = serde_json::from_value(keep.clone())?;
     let record = ModelRecord {
         id: new_id(),
-        station: kept.station,
+        place: kept.place,
         job,
         lead: kept.lead,
         selection: kept.selection,
@@ -355,13 +504,15 @@ pub(super) fn science(error: impl std::fmt::Display) -> Failure {
 }
 
 /// What the registry tells of a model without opening it.
-fn summary(model: &TrainedModel, choice: &FeatureChoice, synthetic: bool, provenance: &Value, scores: &Value) -> Value {
+fn summary(payload: &Payload, model: &TrainedModel, provenance: &Value, scores: &Value) -> Value {
     let window = &model.training;
-    json!({
-        "synthetic": synthetic,
+    let mut summary = json!({
+        "synthetic": payload.synthetic,
+        "inputs": payload.inputs,
         "training": {
+            "stations": payload.stations,
             "label": model.label, "feature_set": model.feature_set, "feature_set_version": model.feature_set_version,
-            "features": model.features.len(), "feature_choice": choice_name(choice), "variables": model.reported, "kernel": kernel(model), "c": model.c,
+            "features": model.features.len(), "feature_choice": choice_name(&payload.options().features), "variables": model.reported, "kernel": kernel(model), "c": model.c,
             "gamma": model.gamma, "cross_validated_auc": model.cross_validated_auc, "threshold": model.threshold,
             "threshold_rule": model.threshold_rule, "first": window.first, "last": window.last, "days": window.days,
             "events": window.events, "seasons": window.seasons, "base_rate": model.base_rate,
@@ -369,7 +520,13 @@ fn summary(model: &TrainedModel, choice: &FeatureChoice, synthetic: bool, proven
         },
         "scores": scores,
         "provenance": provenance,
-    })
+    });
+    if let Some((revision, avalanche_day)) = &payload.region {
+        let (training, day) = (&mut summary["training"], json!(avalanche_day));
+        training["station_days"] = json!(window.station_days);
+        training["region"] = json!({"revision": revision, "avalanche_day": day});
+    }
+    summary
 }
 
 /// How the features were chosen: `named` ones may have been chosen on the very days that score the model.

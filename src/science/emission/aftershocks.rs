@@ -55,8 +55,20 @@ pub struct OmoriFit {
     pub c_s: f64,
     /// Share of the counted events that are aftershocks and not background.
     pub aftershock_share: f64,
+    /// Rate of aftershocks of a main shock at its time, `K c^-p` of `K (t + c)^-p`, 1/s.
+    pub first_rate_per_s: f64,
+    /// Rate of the background, 1/s.
+    pub background_per_s: f64,
     /// Twice the log likelihood over that of a constant rate; three parameters more.
     pub likelihood_ratio: f64,
+}
+
+impl OmoriFit {
+    /// Rate of hits at a delay, 1/s a main shock.
+    #[must_use]
+    pub fn rate_per_s(&self, delay_s: f64) -> f64 {
+        self.first_rate_per_s * (-self.p * (delay_s / self.c_s).ln_1p()).exp() + self.background_per_s
+    }
 }
 
 /// One class of main shocks.
@@ -254,12 +266,13 @@ fn omori(followed: &[Followed], progress: &dyn Progress) -> Option<OmoriFit> {
         let q = 1.0 - p;
         if (q * log).abs() < 1e-9 { log } else { (q * log).exp_m1() / q }
     };
+    let total = |c: f64, p: f64| spans.iter().map(|&span| integral(c, p, span)).sum::<f64>();
     let mixture = |c: f64, p: f64| {
         if progress.cancelled() {
             // nowhere better than a constant rate: the search ends at once
             return (0.0, 0.0);
         }
-        let total: f64 = spans.iter().map(|&span| integral(c, p, span)).sum();
+        let total = total(c, p);
         // f(t) relative to g = 1 / exposure
         let ratio: Vec<f64> = delays.iter().map(|&t| (-p * (t / c).ln_1p()).exp() / c * exposure / total).collect();
         best_share(&ratio)
@@ -282,6 +295,8 @@ fn omori(followed: &[Followed], progress: &dyn Progress) -> Option<OmoriFit> {
         p_ci95: p_se.map(|se| [p - Z95 * se, p + Z95 * se]),
         c_s: c,
         aftershock_share: share,
+        first_rate_per_s: share * delays.len() as f64 / (c * total(c, p)),
+        background_per_s: (1.0 - share) * delays.len() as f64 / exposure,
         likelihood_ratio: 2.0 * likelihood,
     })
 }

@@ -1,17 +1,20 @@
 //! Correlation integral of positions: how the sources cluster in space.
 //!
 //! `C(r) = 2 N(r) / (N (N - 1))` with N(r) the pairs at most r apart (Grassberger & Procaccia 1983, Physica D 9, 189-208). Where C ~ r^D
-//! the points have the correlation dimension D. A finite sample of any shape bends C; a uniform sample in the same box bends it
-//! the same way, and D is read from the ratio of the two.
+//! the points have the correlation dimension D. A finite sample of any shape bends C at its borders. The null is a uniform sample
+//! of the same box, of which C is known exactly; but its bend is that of a set without gaps, and dividing by it takes a set with
+//! gaps for larger in dimension than it is (by 0.05 at D = 2.5 and a tenth of the sample). D is therefore read from the pairs
+//! whose first point is at least r away from the border: there the null is a power of r, with the exponent of the embedding, and its
+//! slope is taken off without a bend.
+//!
+//! Pairs share points, so their numbers are not independent: the error is a jackknife over the points (Efron & Stein 1981, Ann.
+//! Statist. 9, 586), to which the scatter about the line comes, which is what a set does that is only a power law on the average.
 
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::error::{EmissionError, positive};
-use super::numerics::{line, log_spaced};
-use super::pairs::PairCounter;
+use super::numerics::{Line, line, log_spaced};
+use super::pairs::{Blocks, Interior};
 use crate::progress::Progress;
 
 /// What to compute.
@@ -21,19 +24,17 @@ use crate::progress::Progress;
 pub struct CorrelationOptions {
     /// Radii, in equal ratios.
     pub radii: usize,
-    /// Smallest radius, m; none takes twice the location error, but no less than a thousandth of the largest extent.
+    /// Smallest radius, m; none takes 4 times the location error, but no less than a thousandth of the largest extent.
     pub r_min_m: Option<f64>,
     /// Largest radius, m; none takes half of the largest extent.
     pub r_max_m: Option<f64>,
-    /// Largest radius of the fit, m; none takes a tenth of the largest extent: beyond, the shape of the sample shows.
+    /// Largest radius of the fit, m; none takes a tenth of the largest extent, but no more than a quarter of the smallest.
     pub fit_max_m: Option<f64>,
-    /// Uniform samples that the null is averaged over.
-    pub nulls: usize,
 }
 
 impl Default for CorrelationOptions {
     fn default() -> Self {
-        Self { radii: 40, r_min_m: None, r_max_m: None, fit_max_m: None, nulls: 4 }
+        Self { radii: 40, r_min_m: None, r_max_m: None, fit_max_m: None }
     }
 }
 
@@ -49,8 +50,10 @@ pub struct CorrelationPoint {
     pub pairs: u64,
     /// Correlation integral.
     pub c: f64,
-    /// That of the null.
+    /// That of the null: uniform in the same box.
     pub c_null: f64,
+    /// The same from the pairs whose first point is at least the radius away from the border; missing beyond the fit.
+    pub c_interior: Option<f64>,
     /// d ln C / d ln r; missing where a neighbour holds no pair.
     pub local_slope: Option<f64>,
     /// The same of the null.
@@ -67,11 +70,11 @@ pub struct CorrelationIntegral {
     pub embedding: usize,
     /// A line a radius.
     pub points: Vec<CorrelationPoint>,
-    /// Correlation dimension: the embedding plus the slope of ln(C / C_null) against ln r.
+    /// Correlation dimension: the embedding plus how much steeper ln C of the interior is than that of the null.
     pub dimension: f64,
-    /// Standard error of that slope from the scatter about the line: neighbouring radii share pairs, so it is too small.
+    /// Its standard error: of the points that happened to be there, and of the scatter about the line.
     pub dimension_se: f64,
-    /// Slope of ln C against ln r alone.
+    /// Slope of ln C against ln r alone, at the same radii.
     pub raw_slope: f64,
     /// Takens' estimate between the smallest and the largest fitted radius (Takens 1985; Theiler 1988, Phys. Lett. A 133, 195).
     pub takens: f64,
@@ -79,11 +82,13 @@ pub struct CorrelationIntegral {
     pub fitted_m: [f64; 2],
 }
 
-/// Points of a null: enough for C(r) at the radii of the fit.
-const NULL_POINTS: usize = 10_000;
 /// Pairs below which a radius is left out of the fit.
 const FEWEST_PAIRS: u64 = 50;
+/// Points away from the border below which a radius is left out of the fit.
+const FEWEST_CENTRES: u64 = 20;
 const FEWEST_EVENTS: usize = 50;
+/// Relative variance of a number of pairs beyond that of chance: no radius has more weight than 1e4 pairs give it.
+const MODEL_VARIANCE: f64 = 1e-4;
 
 /// The correlation integral of `positions` (m), with `location_error_m` (standard error of a coordinate) setting the smallest radius
 /// and `grain_size_m` the unit of the results.
@@ -95,7 +100,6 @@ pub fn correlation_integral(
     location_error_m: Option<f64>,
     grain_size_m: Option<f64>,
     options: &CorrelationOptions,
-    seed: u64,
     progress: &dyn Progress,
 ) -> Result<CorrelationIntegral, EmissionError> {
     const WHAT: &str = "correlation_integral";
@@ -107,51 +111,134 @@ pub fn correlation_integral(
     if largest <= 0.0 {
         return Err(EmissionError::Degenerate { what: "the positions" });
     }
+    let axes: Vec<usize> = (0..3).filter(|&k| extent[k] > FLAT * largest).collect();
+    let extents: Vec<f64> = axes.iter().map(|&k| extent[k]).collect();
+    let smallest = extents.iter().copied().fold(f64::INFINITY, f64::min);
     let radii = radii(options, location_error_m, largest)?;
-    let counter = PairCounter::new(&radii);
-    let counts = counter.count(positions, progress, "pairs")?;
-    let null = null(&counter, low, extent, positions.len(), options.nulls, seed, progress)?;
-    let pairs_of = |n: usize| n as f64 * (n as f64 - 1.0) / 2.0;
-    let c: Vec<f64> = counts.iter().map(|&count| count as f64 / pairs_of(positions.len())).collect();
-    let embedding = extent.iter().filter(|&&extent| extent > 1e-6 * largest).count();
-    let (slopes, null_slopes) = (local_slopes(&radii, &c), local_slopes(&radii, &null));
+    let fit_max = positive("fit_max_m", options.fit_max_m.unwrap_or((0.1 * largest).min(0.25 * smallest)))?;
+    let near: Vec<f64> = radii.iter().copied().filter(|&r| r <= fit_max * (1.0 + 1e-9)).collect();
+    let border = |point: &[f64; 3]| {
+        let to_border = axes.iter().map(|&k| (point[k] - low[k]).min(low[k] + extent[k] - point[k]));
+        to_border.fold(f64::INFINITY, f64::min)
+    };
+    let border: Vec<f64> = positions.iter().map(border).collect();
+    let blocks = Blocks::new(positions);
+    let interior = blocks.interior(&near, &border, progress)?;
+    let pairs = blocks.count(&radii, progress)?;
+    let n = positions.len() as f64;
+    let c: Vec<f64> = pairs.iter().map(|&pairs| 2.0 * pairs as f64 / (n * (n - 1.0))).collect();
+    let c_null: Vec<f64> = radii.iter().map(|&r| uniform_share(&extents, r)).collect();
+    let (slopes, null_slopes) = (local_slopes(&radii, &c), local_slopes(&radii, &c_null));
+    let of_interior = |k: usize| {
+        let (centres, pairs) = (*interior.centres.get(k)?, *interior.pairs.get(k)?);
+        (centres > 0).then(|| pairs as f64 / (centres as f64 * (n - 1.0)))
+    };
     let points: Vec<CorrelationPoint> = (0..radii.len())
         .map(|k| CorrelationPoint {
             r_m: radii[k],
             r_grains: grain_size_m.map(|grain| radii[k] / grain),
-            pairs: counts[k],
+            pairs: pairs[k],
             c: c[k],
-            c_null: null[k],
+            c_null: c_null[k],
+            c_interior: of_interior(k),
             local_slope: slopes[k],
             null_slope: null_slopes[k],
         })
         .collect();
-    let fit_max = positive("fit_max_m", options.fit_max_m.unwrap_or(0.1 * largest))?;
-    let is_usable = |point: &&CorrelationPoint| {
-        point.pairs >= FEWEST_PAIRS && point.c_null > 0.0 && point.r_m <= fit_max * (1.0 + 1e-9)
-    };
-    let usable: Vec<&CorrelationPoint> = points.iter().filter(is_usable).collect();
+    let usable: Vec<usize> = (0..near.len())
+        .filter(|&k| interior.centres[k] >= FEWEST_CENTRES && interior.pairs[k] >= 2 * FEWEST_PAIRS)
+        .collect();
     let failed = EmissionError::TooFewEvents { what: "pairs of a slope", found: usable.len(), needed: 3 };
-    let (first, last) = usable.first().zip(usable.last()).ok_or_else(|| failed.clone())?;
-    let log_r: Vec<f64> = usable.iter().map(|point| point.r_m.ln()).collect();
-    // a null of few pairs is uncertain: weights are its number of pairs, up to where that no longer matters
-    let weights: Vec<f64> = usable.iter().map(|point| weight(point, positions.len(), options.nulls)).collect();
-    let slope = |value: &dyn Fn(&CorrelationPoint) -> f64| {
-        let y: Vec<f64> = usable.iter().map(|point| value(point)).collect();
-        line(&log_r, &y, &weights)
-    };
-    let ratio = slope(&|point| (point.c / point.c_null).ln()).ok_or_else(|| failed.clone())?;
-    let raw = slope(&|point| point.c.ln()).ok_or(failed)?;
+    let fit = Fit::new(&near, &usable, &interior).ok_or_else(|| failed.clone())?;
+    let raw = fit.slope(&usable.iter().map(|&k| c[k].ln()).collect::<Vec<f64>>()).ok_or(failed)?;
+    let chosen: Vec<&CorrelationPoint> = usable.iter().map(|&k| &points[k]).collect();
+    let takens = takens(&chosen);
+    let fitted_m = [chosen[0].r_m, chosen[chosen.len() - 1].r_m];
     Ok(CorrelationIntegral {
         events: positions.len(),
-        embedding,
-        dimension: embedding as f64 + ratio.slope,
-        dimension_se: ratio.slope_se,
+        embedding: axes.len(),
+        dimension: fit.line.slope,
+        dimension_se: fit.standard_error(&interior),
         raw_slope: raw.slope,
-        takens: takens(&usable),
-        fitted_m: [first.r_m, last.r_m],
+        takens,
+        fitted_m,
         points,
     })
+}
+
+/// An extent of less than this share of the largest is none: positions in a plane have only their rounding beside it.
+const FLAT: f64 = 1e-9;
+
+/// The line through ln C of the interior.
+struct Fit<'a> {
+    usable: &'a [usize],
+    log_r: Vec<f64>,
+    weights: Vec<f64>,
+    log_c: Vec<f64>,
+    line: Line,
+}
+
+impl<'a> Fit<'a> {
+    /// The line through the radii that are `usable`; none with fewer than 3.
+    fn new(radii: &[f64], usable: &'a [usize], interior: &Interior) -> Option<Self> {
+        let log_r: Vec<f64> = usable.iter().map(|&k| radii[k].ln()).collect();
+        let weight = |&k: &usize| 1.0 / (MODEL_VARIANCE + 2.0 / interior.pairs[k] as f64);
+        let weights: Vec<f64> = usable.iter().map(weight).collect();
+        let log = |&k: &usize| (interior.pairs[k] as f64 / interior.centres[k] as f64).ln();
+        let log_c: Vec<f64> = usable.iter().map(log).collect();
+        let line = line(&log_r, &log_c, &weights)?;
+        Some(Self { usable, log_r, weights, log_c, line })
+    }
+
+    fn slope(&self, log_c: &[f64]) -> Option<Line> {
+        line(&self.log_r, log_c, &self.weights)
+    }
+
+    /// Standard error of the slope.
+    fn standard_error(&self, interior: &Interior) -> f64 {
+        (self.chance(interior) + self.misfit()).sqrt()
+    }
+
+    /// By how much the slope grows with ln C at each radius.
+    fn leverage(&self) -> Vec<f64> {
+        let total: f64 = self.weights.iter().sum();
+        let centre = self.log_r.iter().zip(&self.weights).map(|(x, w)| w * x).sum::<f64>() / total;
+        let spread: f64 = self.log_r.iter().zip(&self.weights).map(|(x, w)| w * (x - centre) * (x - centre)).sum();
+        self.log_r.iter().zip(&self.weights).map(|(x, w)| w * (x - centre) / spread).collect()
+    }
+
+    /// Variance of the slope by which points happened to be there: the jackknife over sets of points, to first order, without
+    /// the share of single pairs that it counts twice.
+    fn chance(&self, interior: &Interior) -> f64 {
+        let leverage = self.leverage();
+        let of_set = |(centres, pairs): (&Vec<u64>, &Vec<u64>)| {
+            let part = |(&k, a): (&usize, &f64)| {
+                let (pairs, centres) = (pairs[k] as f64, centres[k] as f64);
+                a * (pairs / interior.pairs[k] as f64 - centres / interior.centres[k] as f64)
+            };
+            self.usable.iter().zip(&leverage).map(part).sum::<f64>().powi(2)
+        };
+        let sets: f64 = interior.set_centres.iter().zip(&interior.set_pairs).map(of_set).sum();
+        // a pair moves ln C of every radius from its distance on
+        let mut single = 0.0;
+        let mut of_pair = 0.0;
+        for (at, (&k, a)) in self.usable.iter().zip(&leverage).enumerate().rev() {
+            of_pair += a / interior.pairs[k] as f64;
+            let below = if at > 0 { interior.pairs[self.usable[at - 1]] } else { 0 };
+            single += 2.0 * interior.pairs[k].saturating_sub(below) as f64 * of_pair * of_pair;
+        }
+        (sets - single).max(0.5 * sets)
+    }
+
+    /// Variance of the slope by the scatter about the line, which is not independent from radius to radius.
+    fn misfit(&self) -> f64 {
+        let residuals: Vec<f64> =
+            (self.log_r.iter().zip(&self.log_c)).map(|(x, y)| y - self.line.intercept - self.line.slope * x).collect();
+        let squares: f64 = residuals.iter().map(|r| r * r).sum();
+        let products: f64 = residuals.windows(2).map(|pair| pair[0] * pair[1]).sum();
+        let correlation = if squares > 0.0 { (products / squares).clamp(0.0, 0.9) } else { 0.0 };
+        self.line.slope_se.powi(2) * (1.0 + correlation) / (1.0 - correlation)
+    }
 }
 
 /// Whether `options` can be used on `positions`.
@@ -167,13 +254,6 @@ pub(super) fn check(
     }
     options.fit_max_m.map(|fit_max| positive("fit_max_m", fit_max)).transpose()?;
     radii(options, location_error_m, largest).map(|_| ())
-}
-
-fn weight(point: &CorrelationPoint, n: usize, nulls: usize) -> f64 {
-    let n = n.min(NULL_POINTS) as f64;
-    let null_pairs = point.c_null * n * (n - 1.0) / 2.0 * nulls as f64;
-    // relative variances: of Poisson numbers of pairs, and 1e-3 for what the model leaves out
-    1.0 / (1e-3 + 1.0 / null_pairs + 1.0 / point.pairs as f64)
 }
 
 fn bounding_box(positions: &[[f64; 3]]) -> ([f64; 3], [f64; 3]) {
@@ -192,10 +272,7 @@ fn radii(options: &CorrelationOptions, error: Option<f64>, largest: f64) -> Resu
     if !(4..=200).contains(&options.radii) {
         return Err(EmissionError::option("radii", options.radii, "4 to 200"));
     }
-    if !(1..=100).contains(&options.nulls) {
-        return Err(EmissionError::option("nulls", options.nulls, "1 to 100"));
-    }
-    let r_min = positive("r_min_m", options.r_min_m.unwrap_or((2.0 * error.unwrap_or(0.0)).max(1e-3 * largest)))?;
+    let r_min = positive("r_min_m", options.r_min_m.unwrap_or((4.0 * error.unwrap_or(0.0)).max(1e-3 * largest)))?;
     let r_max = positive("r_max_m", options.r_max_m.unwrap_or(0.5 * largest))?;
     if r_max < 1.5 * r_min {
         let accepted = format!("a radius of at least 1.5 times the smallest, {r_min} m");
@@ -204,28 +281,27 @@ fn radii(options: &CorrelationOptions, error: Option<f64>, largest: f64) -> Resu
     Ok(log_spaced(r_min, r_max, options.radii))
 }
 
-/// Mean correlation integral of uniform samples in the box.
-fn null(
-    counter: &PairCounter,
-    low: [f64; 3],
-    extent: [f64; 3],
-    events: usize,
-    nulls: usize,
-    seed: u64,
-    progress: &dyn Progress,
-) -> Result<Vec<f64>, EmissionError> {
-    let n = events.min(NULL_POINTS);
-    let one = |stream: usize| {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(stream as u64);
-        let mut point = || [0, 1, 2].map(|k| low[k] + extent[k] * rng.random::<f64>());
-        let points: Vec<[f64; 3]> = (0..n).map(|_| point()).collect();
-        counter.count(&points, progress, "uniform null")
+/// Intervals of the numerical integrals of [`uniform_share`].
+const INTERVALS: usize = 100;
+
+/// Probability that two points, uniform in a box of the edges `extents` (one to three), are at most `r` apart. The difference of two
+/// coordinates has a triangular density; one integral a further axis, by Simpson's rule in the angle, which takes the root out.
+fn uniform_share(extents: &[f64], r: f64) -> f64 {
+    let Some((&extent, others)) = extents.split_first() else { return 1.0 };
+    let density = |d: f64| if d < extent { 2.0 * (extent - d) / (extent * extent) } else { 0.0 };
+    if others.is_empty() {
+        let share = (r / extent).min(1.0);
+        return share * (2.0 - share);
+    }
+    // beyond the edge there is nothing to integrate
+    let last = (extent / r).min(1.0).asin();
+    let at = |k: usize| {
+        let (sine, cosine) = (last * k as f64 / INTERVALS as f64).sin_cos();
+        density(r * sine) * uniform_share(others, r * cosine) * r * cosine
     };
-    let counts: Vec<Vec<u64>> = (0..nulls).into_par_iter().map(one).collect::<Result<_, _>>()?;
-    let pairs = n as f64 * (n as f64 - 1.0) / 2.0 * nulls as f64;
-    let sum = |k: usize| counts.iter().map(|counts| counts[k]).sum::<u64>() as f64;
-    Ok((0..counts[0].len()).map(|k| sum(k) / pairs).collect())
+    let weight = |k: usize| if k == 0 || k == INTERVALS { 1.0 } else { 2.0 + 2.0 * (k % 2) as f64 };
+    let sum: f64 = (0..=INTERVALS).map(|k| weight(k) * at(k)).sum();
+    (sum * last / (3.0 * INTERVALS as f64)).min(1.0)
 }
 
 fn local_slopes(radii: &[f64], c: &[f64]) -> Vec<Option<f64>> {

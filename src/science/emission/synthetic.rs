@@ -40,6 +40,19 @@ pub struct Clustering {
     pub p: f64,
 }
 
+/// Hits of several sensors in place of events.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct SensorHits {
+    /// Wave speed, m/s.
+    #[cfg_attr(feature = "schema", schema(exclusive_minimum = 0))]
+    pub speed_m_per_s: f64,
+    /// Standard error of an arrival time, s.
+    #[cfg_attr(feature = "schema", schema(minimum = 0))]
+    pub arrival_error_s: f64,
+}
+
 /// What to make.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
@@ -71,6 +84,9 @@ pub struct SyntheticOptions {
     pub floor_db: f64,
     /// Largest amplitude that the recorder can hold, V.
     pub clip_v: f64,
+    /// Hits of the eight sensors at the corners of the sample in place of events with positions: all sensors record the same
+    /// signal (no attenuation), and the sources are those of the events that the same options and seed give without this.
+    pub hits: Option<SensorHits>,
 }
 
 impl Default for SyntheticOptions {
@@ -89,6 +105,7 @@ impl Default for SyntheticOptions {
             db_step: None,
             floor_db: 30.0,
             clip_v: 10.0,
+            hits: None,
         }
     }
 }
@@ -171,7 +188,42 @@ pub fn synthetic(options: &SyntheticOptions, seed: u64) -> Result<(Catalogue, Tr
         }
     }
     let truth = Truth { clipped, ..maker.truth.clone() };
+    if let Some(recorded) = &options.hits {
+        columns = hits(columns, recorded, options, seed);
+    }
     Ok((Catalogue::new(columns, metadata(options, &truth))?, truth))
+}
+
+/// The hits of all sensors, in the order of their arrival; what a hit of an event has in common with the others is repeated.
+fn hits(
+    events: BTreeMap<Column, Vec<f64>>,
+    recorded: &SensorHits,
+    options: &SyntheticOptions,
+    seed: u64,
+) -> BTreeMap<Column, Vec<f64>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    // the stream 0 makes the events
+    rng.set_stream(1);
+    let sensors = corners(options);
+    let of = |column: Column, event: usize| events.get(&column).map_or(0.0, |values| values[event]);
+    let count = events.values().next().map_or(0, Vec::len);
+    let mut arrivals = Vec::with_capacity(count * sensors.len());
+    for event in 0..count {
+        let source = [Column::XM, Column::YM, Column::ZM].map(|column| of(column, event));
+        for sensor in &sensors {
+            let squares: f64 = source.iter().zip(sensor.position_m).map(|(a, b)| (a - b) * (a - b)).sum();
+            let late = squares.sqrt() / recorded.speed_m_per_s + recorded.arrival_error_s * normal(&mut rng);
+            arrivals.push((of(Column::TimeS, event) + late, f64::from(sensor.channel), event));
+        }
+    }
+    arrivals.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut columns: BTreeMap<Column, Vec<f64>> = BTreeMap::new();
+    for (column, values) in events.iter().filter(|(column, _)| !column.is_of_place()) {
+        columns.insert(*column, arrivals.iter().map(|arrival| values[arrival.2]).collect());
+    }
+    columns.insert(Column::TimeS, arrivals.iter().map(|arrival| arrival.0).collect());
+    columns.insert(Column::Channel, arrivals.iter().map(|arrival| arrival.1).collect());
+    columns
 }
 
 fn check(options: &SyntheticOptions) -> Result<(), EmissionError> {
@@ -193,6 +245,12 @@ fn check(options: &SyntheticOptions) -> Result<(), EmissionError> {
     within("dimension", o.dimension, o.dimension > 0.0 && o.dimension <= 3.0, "above 0 to 3")?;
     within("location_error_m", o.location_error_m, (0.0..=o.size_m).contains(&o.location_error_m), "0 to size_m")?;
     within("floor_db", o.floor_db, (0.0..=90.0).contains(&o.floor_db), "0 to 90 dB_AE")?;
+    if let Some(SensorHits { speed_m_per_s, arrival_error_s }) = o.hits {
+        positive("speed_m_per_s", speed_m_per_s)?;
+        let good = arrival_error_s.is_finite() && arrival_error_s >= 0.0;
+        within("arrival_error_s", arrival_error_s, good, "a finite number of at least 0")?;
+        within("events", o.events as f64, o.events <= MOST_EVENTS / 8, "an eighth of the largest number, with hits")?;
+    }
     if let Some(Clustering { branching_ratio, c_s, p }) = o.clustering {
         within("branching_ratio", branching_ratio, (0.0..1.0).contains(&branching_ratio), "0 up to below 1")?;
         positive("c_s", c_s)?;
@@ -201,7 +259,8 @@ fn check(options: &SyntheticOptions) -> Result<(), EmissionError> {
     Ok(())
 }
 
-fn metadata(options: &SyntheticOptions, truth: &Truth) -> Metadata {
+/// Sensors at the corners of the sample.
+fn corners(options: &SyntheticOptions) -> Vec<Sensor> {
     let corner = |k: usize, bit: usize| if k >> bit & 1 == 1 { options.size_m } else { 0.0 };
     let sensor = |k: usize| Sensor {
         channel: k as u32 + 1,
@@ -209,6 +268,10 @@ fn metadata(options: &SyntheticOptions, truth: &Truth) -> Metadata {
         sensitivity_v_per_pa: None,
         delay_s: 0.0,
     };
+    (0..8).map(sensor).collect()
+}
+
+fn metadata(options: &SyntheticOptions, truth: &Truth) -> Metadata {
     Metadata {
         material: Some("ice (synthetic)".to_owned()),
         temperature_c: Some(options.temperature_c),
@@ -216,8 +279,9 @@ fn metadata(options: &SyntheticOptions, truth: &Truth) -> Metadata {
         phase: (options.unloading_share == 0.0).then_some(Phase::Loading),
         preamp_gain_db: Some(GAIN_DB),
         threshold_v: Some(truth.threshold_v),
-        location_error_m: Some(options.location_error_m).filter(|&error| error > 0.0),
-        sensors: (0..8).map(sensor).collect(),
+        location_error_m: Some(options.location_error_m).filter(|&error| error > 0.0 && options.hits.is_none()),
+        longitudinal_speed_m_per_s: options.hits.map(|hits| hits.speed_m_per_s),
+        sensors: corners(options),
         ..Metadata::default()
     }
 }
@@ -281,10 +345,8 @@ impl<'a> Maker<'a> {
         (log_sd * self.normal() - log_sd * log_sd / 2.0).exp()
     }
 
-    /// Standard normal, by Box & Muller.
     fn normal(&mut self) -> f64 {
-        let (u, v): (f64, f64) = (self.rng.random(), self.rng.random());
-        (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+        normal(&mut self.rng)
     }
 
     /// Times of all events; unloading happens in the last part of the test, as long as its share of events.
@@ -340,6 +402,12 @@ impl<'a> Maker<'a> {
         }
         point.map(|coordinate| coordinate * self.options.size_m + self.options.location_error_m * self.normal())
     }
+}
+
+/// Standard normal, by Box & Muller.
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    let (u, v): (f64, f64) = (rng.random(), rng.random());
+    (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
 #[cfg(test)]

@@ -3,7 +3,8 @@
 //! Data flow: [`day`] records of one station -> [`features`] -> standardised samples ([`preparation`]) -> machine ([`svm`]) ->
 //! probability. [`model`] runs it: it trains, forecasts and finds similar days. [`evaluation`] judges the same recipe, and the
 //! models beside it ([`baselines`], [`neighbours`], [`logistic`]), on held-out seasons with the scores of [`verification`];
-//! [`selection`] asks how many features it takes; [`issued`] judges what was said in service.
+//! [`region`] says what the days of several stations come to; [`selection`] asks how many features it takes; [`issued`] judges what was said in service, [`transfer`] what a
+//! model says at another place.
 
 pub mod baselines;
 pub mod day;
@@ -17,7 +18,9 @@ pub mod neighbours;
 pub mod preparation;
 #[cfg(test)]
 mod problems;
+pub mod region;
 pub mod selection;
 pub mod svm;
 pub mod synthetic;
+pub mod transfer;
 pub mod verification;

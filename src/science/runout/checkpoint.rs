@@ -9,13 +9,13 @@ use super::{
     error::RunoutError,
     grid::Layout,
     lanes::Real,
-    particles::{BLOCK, Particle},
+    particles::{BLOCK, Flip, Particle},
     simulation::Setup,
     transfer::Motion,
 };
 
 /// Raised with every change to what is saved or to what it means.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 #[derive(Serialize, Deserialize)]
 struct Saved<T> {
@@ -33,6 +33,8 @@ struct Saved<T> {
     particles: Vec<Particle<T>>,
     /// Velocities and gradients of all particles, or of none.
     motion: Vec<[T; 6]>,
+    /// Velocities and remainders of all particles where FLIP is blended in.
+    flip: Vec<[T; 4]>,
 }
 
 /// FNV-1a of everything that a setup says: enough to tell another run's state by accident, not by intent.
@@ -50,6 +52,9 @@ pub(super) fn save<T: Real>(engine: &Engine<T>, setup: &Setup) -> Vec<u8> {
     let motion = engine.chunks.iter().flat_map(|chunk| {
         chunk.blocks.iter().zip(&chunk.motion).flat_map(|(block, motion)| (0..block.len).map(|k| of_block(motion, k)))
     });
+    let flip = engine.chunks.iter().flat_map(|chunk| {
+        chunk.blocks.iter().zip(&chunk.flip).flat_map(|(block, flip)| (0..block.len).map(|k| flip.get(k)))
+    });
     let saved = Saved {
         version: VERSION,
         setup: digest(setup),
@@ -62,6 +67,7 @@ pub(super) fn save<T: Real>(engine: &Engine<T>, setup: &Setup) -> Vec<u8> {
         velocity: engine.velocity.iter().map(|&[vx, vz, ..]| [vx, vz]).collect(),
         particles,
         motion: motion.collect(),
+        flip: flip.collect(),
     };
     // a vector takes everything; what is empty cannot be resumed
     postcard::to_stdvec(&saved).unwrap_or_default()
@@ -87,14 +93,16 @@ pub(super) fn load<T: Real>(setup: &Setup, state: &[u8]) -> Result<Engine<T>, Ru
     }
     let fits = saved.layout.fits(&saved.particles, engine.frame.bed.len());
     let moving = saved.motion.is_empty() || saved.motion.len() == count;
-    if count == 0 || !fits || !moving || saved.velocity.len() != saved.layout.nodes() {
+    let blended = saved.flip.len() == if engine.frame.flip > 0.0 { count } else { 0 };
+    if count == 0 || !fits || !moving || !blended || saved.velocity.len() != saved.layout.nodes() {
         return Err(RunoutError::Checkpoint("its parts do not fit each other"));
     }
     for span in &saved.layout.chunks {
         let range = span.particles[0] as usize..span.particles[1] as usize;
         let blocks = blocks_of(&saved.particles[range.clone()]);
-        let motion = saved.motion.get(range).unwrap_or_default().chunks(BLOCK).map(motion_of).collect();
-        engine.chunks.push(ChunkParticles { blocks, motion });
+        let motion = saved.motion.get(range.clone()).unwrap_or_default().chunks(BLOCK).map(motion_of).collect();
+        let flip = saved.flip.get(range).unwrap_or_default().chunks(BLOCK).map(flip_of).collect();
+        engine.chunks.push(ChunkParticles { blocks, motion, flip });
     }
     engine.adopt(saved.layout);
     engine.velocity = saved.velocity.iter().map(|&[vx, vz]| [vx, vz, vx, vz]).collect();
@@ -109,4 +117,12 @@ fn motion_of<T: Real>(rows: &[[T; 6]]) -> Motion<T> {
         [motion.vx[k], motion.vz[k], motion.lxx[k], motion.lxz[k], motion.lzx[k], motion.lzz[k]] = *row;
     }
     motion
+}
+
+fn flip_of<T: Real>(rows: &[[T; 4]]) -> Flip<T> {
+    let mut flip = Flip::default();
+    for (k, row) in rows.iter().enumerate() {
+        flip.set(k, *row);
+    }
+    flip
 }

@@ -33,6 +33,7 @@ fn void<T: Real>(snow: &Snow, gravity: f64) -> Frame<T> {
         sticky: false,
         limited_above: f64::INFINITY,
         limited_beyond: 1.0,
+        flip: 0.0,
         top_m: 1000.0,
     }
 }
@@ -60,11 +61,14 @@ fn run<T: Real>(engine: &mut Engine<T>, steps: usize) {
 fn conserved<T: Real>(engine: &Engine<T>) -> [f64; 4] {
     let mut out = [0.0; 4];
     for chunk in &engine.chunks {
-        for (block, motion) in chunk.blocks.iter().zip(&chunk.motion) {
+        for (index, (block, motion)) in chunk.blocks.iter().zip(&chunk.motion).enumerate() {
+            // what particles have of their own where FLIP is blended in
+            let own = chunk.flip.get(index);
             for k in 0..block.len {
                 let x = f64::from(block.place.column[k]) + block.place.gx[k].f64() - 400.0;
                 let z = f64::from(block.place.row[k]) + block.place.gz[k].f64();
-                let (vx, vz) = (motion.vx[k].f64(), motion.vz[k].f64());
+                let (vx, vz) = own.map_or((motion.vx[k], motion.vz[k]), |own| (own.vx[k], own.vz[k]));
+                let (vx, vz) = (vx.f64(), vz.f64());
                 out[0] += 1.0;
                 out[1] += vx;
                 out[2] += vz;
@@ -75,8 +79,9 @@ fn conserved<T: Real>(engine: &Engine<T>) -> [f64; 4] {
     out
 }
 
-/// How far momenta move in 200 steps of a block of random motion, as a share of the largest that there could be.
-fn worst_drift<T: Real>() -> f64 {
+/// A block of random motion before and after 200 steps: how far mass, momenta and angular momentum move, as shares of
+/// themselves.
+fn drifts<T: Real>(flip: f64) -> [f64; 4] {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     // a uniform motion and a turn, so that the totals are far from 0, and noise that strains the block
     let released = filled([1.0, 0.5], |[x, _]| {
@@ -84,47 +89,90 @@ fn worst_drift<T: Real>() -> f64 {
         Some(([8.0 + noise(2.0), 20.0 * x - 3.0 + noise(2.0)], [noise(5.0), noise(5.0), 20.0 + noise(5.0), noise(5.0)]))
     });
     let snow = Snow::li_2020(0.5, 0.0, 1.0, 3e3);
-    let mut engine = Engine::<T>::new(void(&snow, 0.0), &released).unwrap();
+    let mut engine = Engine::<T>::new(Frame { flip, ..void(&snow, 0.0) }, &released).unwrap();
     let before = conserved(&engine);
     run(&mut engine, 200);
     let after = conserved(&engine);
     let mass: T = engine.grids.iter().flat_map(|grid| &grid.nodes).fold(T::of(0.0), |sum, node| sum + node[2]);
     assert!((mass.f64() / before[0] - 1.0).abs() < 1e-5, "mass {mass:?} of {}", before[0]);
     assert!(before.iter().all(|total| total.abs() > 1.0), "{before:?}");
-    (0..4).map(|i| ((after[i] - before[i]) / before[i]).abs()).fold(0.0, f64::max)
+    std::array::from_fn(|i| ((after[i] - before[i]) / before[i]).abs())
 }
 
 #[test]
 fn momentum_and_angular_momentum_are_conserved() {
-    let drift = worst_drift::<f64>();
-    assert!(drift < 1e-10, "f64: {drift:e}");
-    let drift = worst_drift::<f32>();
-    assert!(drift < 1e-5, "f32: {drift:e}");
+    let drifts_f64 = drifts::<f64>(0.0);
+    assert!(drifts_f64.iter().all(|drift| *drift < 1e-10), "f64: {drifts_f64:?}");
+    let drifts_f32 = drifts::<f32>(0.0);
+    assert!(drifts_f32.iter().all(|drift| *drift < 1e-5), "f32: {drifts_f32:?}");
+}
+
+#[test]
+fn a_blend_with_flip_conserves_momentum() {
+    for flip in [0.5, 0.95, 1.0] {
+        let [mass, x, z, angular] = drifts::<f64>(flip);
+        assert!(mass.max(x).max(z) < 1e-10, "{flip}: {mass:e} {x:e} {z:e}");
+        // what the grid did not take has no affine part: angular momentum is not exact, as it is in APIC
+        println!("{flip}: angular momentum moves by {angular:e}");
+        let [mass, x, z, _] = drifts::<f32>(flip);
+        assert!(mass.max(x).max(z) < 1e-5, "f32, {flip}: {mass:e} {x:e} {z:e}");
+    }
+}
+
+#[test]
+fn particles_keep_of_their_own_motion_what_flip_says() {
+    // neighbours that move against each other: the grid cannot take it
+    let remainders = |flip: f64| -> Vec<[f64; 4]> {
+        let mut sign = 1.0;
+        let released = filled([0.5, 0.5], |_| {
+            sign = -sign;
+            Some(([0.1 * sign, 0.0], [0.0; 4]))
+        });
+        let engine = Engine::<f64>::new(Frame { flip, ..void(&strong(), 0.0) }, &released).unwrap();
+        let own = engine.chunks.iter().flat_map(|chunk| chunk.blocks.iter().zip(&chunk.flip));
+        own.flat_map(|(block, own)| (0..block.len).map(|k| own.get(k))).collect()
+    };
+    assert!(remainders(0.0).is_empty());
+    let (all, half) = (remainders(1.0), remainders(0.5));
+    assert_eq!(all.len(), 1600);
+    let unit = 0.1 * STEP / MESH;
+    for ([vx, _, whole, _], [.., part, _]) in all.into_iter().zip(half) {
+        assert!((vx.abs() / unit - 1.0).abs() < 1e-12 && (whole / vx - 1.0).abs() < 0.6, "{whole} of {vx}");
+        assert!((part / whole - 0.5).abs() < 1e-12, "{part} of {whole}");
+    }
 }
 
 #[test]
 fn a_block_falls_freely() {
     let released = filled([0.5, 0.5], |_| Some(([0.0; 2], [0.0; 4])));
-    let mut engine = Engine::<f64>::new(void(&strong(), 9.81), &released).unwrap();
-    run(&mut engine, 4000);
-    let time = 4000.0 * STEP;
-    for chunk in &engine.chunks {
-        for (block, motion) in chunk.blocks.iter().zip(&chunk.motion) {
-            for k in 0..block.len {
-                let v = motion.vz[k] * MESH / STEP;
-                assert!((v / (-9.81 * time) - 1.0).abs() < 1e-6, "{v} m/s after {time} s");
-            }
+    for flip in [0.0, 0.95] {
+        let mut engine = Engine::<f64>::new(Frame { flip, ..void(&strong(), 9.81) }, &released).unwrap();
+        run(&mut engine, 4000);
+        let time = 4000.0 * STEP;
+        for v in snapshot(&engine).vz_m_s {
+            assert!((f64::from(v) / (-9.81 * time) - 1.0).abs() < 1e-6, "{v} m/s after {time} s, FLIP {flip}");
         }
     }
 }
 
 #[test]
 fn a_spinning_disc_gains_no_energy_and_keeps_it() {
+    spins(0.0, 1e-3);
+}
+
+#[test]
+fn a_spinning_disc_gains_no_energy_with_flip() {
+    // angular momentum is not exact then: 0.4 % of the energy goes in twenty turns
+    spins(0.95, 5e-3);
+}
+
+/// A disc that turns twenty times loses at most this share of its energy and gains none.
+fn spins(flip: f64, loss: f64) {
     // one turn a second, for 20 s: the body is stretched by its spin and turns as one
     let omega = std::f64::consts::TAU;
     let released =
         filled([0.5, 0.5], |[x, z]| (x.hypot(z) < 0.5).then_some(([-omega * z, omega * x], [0.0, -omega, omega, 0.0])));
-    let mut engine = Engine::<f64>::new(void(&strong(), 0.0), &released).unwrap();
+    let mut engine = Engine::<f64>::new(Frame { flip, ..void(&strong(), 0.0) }, &released).unwrap();
     let total = |engine: &Engine<f64>| {
         let e = energies(engine);
         e.kinetic + e.affine + e.elastic
@@ -137,7 +185,7 @@ fn a_spinning_disc_gains_no_energy_and_keeps_it() {
         // elastic ringing moves some 1e-6 of the energy to and fro between the half steps of position and velocity
         assert!(last <= (1.0 + 1e-5) * first, "gained {:e} after {second} s", last / first - 1.0);
     }
-    assert!(last > (1.0 - 1e-3) * first, "lost {:e} of the energy", 1.0 - last / first);
+    assert!(last > (1.0 - loss) * first, "lost {:e} of the energy", 1.0 - last / first);
 }
 
 #[test]

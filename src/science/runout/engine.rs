@@ -8,7 +8,7 @@ use super::{
     grid::{BedColumn, DRIFT, Layout, NoLayout, Reduced, Reduction, STRIDE, Stage},
     lanes::Real,
     material::Material,
-    particles::{BLOCK, Block, Particle},
+    particles::{BLOCK, Block, Flip, Particle},
     sort::sort,
     transfer::{ChunkGrid, Motion, Step, weights},
 };
@@ -42,6 +42,8 @@ pub(super) struct Frame<T> {
     /// speed from which on that holds; what is faster than free fall is limited whatever its strain.
     pub(super) limited_above: f64,
     pub(super) limited_beyond: f64,
+    /// The share of FLIP in the velocities that particles give to the grid; 0 is APIC.
+    pub(super) flip: f64,
     /// Height of the highest snow at release, m.
     pub(super) top_m: f64,
 }
@@ -70,11 +72,12 @@ pub(super) struct Released {
     pub(super) gradient_1_s: [f64; 4],
 }
 
-/// Particles of a chunk, and their motion where it was kept.
+/// Particles of a chunk, their motion where it was kept, and their own velocities where FLIP is blended in.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ChunkParticles<T> {
     pub(super) blocks: Vec<Block<T>>,
     pub(super) motion: Vec<Motion<T>>,
+    pub(super) flip: Vec<Flip<T>>,
 }
 
 /// Energies in particle masses times (cells a step)^2, summed over the steps.
@@ -185,8 +188,17 @@ impl<T: Real> Engine<T> {
                     (motion.lxx[k], motion.lxz[k], motion.lzx[k], motion.lzz[k]) = (l[0], l[1], l[2], l[3]);
                 }
             }
+            if engine.frame.flip > 0.0 {
+                let of_block = |motion: &Motion<T>| Flip { vx: motion.vx, vz: motion.vz, ..Flip::default() };
+                chunk.flip = chunk.motion.iter().map(of_block).collect();
+            }
         }
         engine.give_motion();
+        if engine.frame.flip > 0.0 {
+            let mut given = vec![[T::of(0.0); 4]; engine.layout.nodes()];
+            engine.reduce_into(&mut given, Stage::Transferred);
+            engine.keep_remainders(&given);
+        }
         let reduced = engine.reduce(None);
         engine.settle(reduced)?;
         Ok(engine)
@@ -222,10 +234,15 @@ impl<T: Real> Engine<T> {
             return Err(Halt::Diverged);
         }
         self.drift += self.fastest;
-        let measured = self.steps.is_multiple_of(AUDIT_STEPS).then(|| self.audit());
+        let (measured, blended) = (self.steps.is_multiple_of(AUDIT_STEPS), self.frame.flip > 0.0);
+        let audited = (measured || blended).then(|| self.audit());
         self.move_particles(keep);
-        let reduced = self.reduce(measured.as_ref().map(|(transferred, _)| transferred.as_slice()));
-        if let Some((_, transfer)) = measured {
+        if let Some((transferred, _)) = audited.as_ref().filter(|_| blended) {
+            self.keep_remainders(transferred);
+        }
+        let audited = audited.filter(|_| measured);
+        let reduced = self.reduce(audited.as_ref().map(|(transferred, _)| transferred.as_slice()));
+        if let Some((_, transfer)) = audited {
             self.ledger.measure([reduced.bed, transfer], self.steps);
         }
         self.steps += 1;
@@ -243,41 +260,28 @@ impl<T: Real> Engine<T> {
         if reduced.kinetic.is_finite() && lost == 0 { Ok(()) } else { Err(Halt::Diverged) }
     }
 
-    fn step_input(&self) -> Step<'_, T> {
-        Step {
-            velocity: &self.velocity,
-            offset: &self.layout.offset,
-            material: &self.frame.material,
-            limited_above: T::of(self.frame.limited_above),
-            fall: T::of(self.frame.fall(self.frame.limited_beyond)),
-            free_fall: T::of(self.frame.free_fall()),
-            top: T::of(self.frame.top_m / self.frame.mesh_m),
-        }
-    }
-
     fn move_particles(&mut self, keep: bool) {
-        // not `step_input`: the particles are borrowed beside
-        let step = Step {
-            velocity: &self.velocity,
-            offset: &self.layout.offset,
-            material: &self.frame.material,
-            limited_above: T::of(self.frame.limited_above),
-            fall: T::of(self.frame.fall(self.frame.limited_beyond)),
-            free_fall: T::of(self.frame.free_fall()),
-            top: T::of(self.frame.top_m / self.frame.mesh_m),
-        };
+        let step = step_input(&self.frame, &self.layout, &self.velocity);
         self.chunks.par_iter_mut().zip(&mut self.grids).for_each(|(chunk, grid)| {
             let kept = if keep { chunk.blocks.len() } else { 0 };
             chunk.motion.resize(kept, Motion::default());
-            T::step(&step, &mut chunk.blocks, &mut chunk.motion, grid);
+            T::step(&step, &mut chunk.blocks, &mut chunk.motion, &mut chunk.flip, grid);
         });
+    }
+
+    /// Keeps what the grid did not take of the particles' velocities; `transferred` are those of the nodes before any force.
+    fn keep_remainders(&mut self, transferred: &[[T; 4]]) {
+        let step = step_input(&self.frame, &self.layout, transferred);
+        let share = T::of(self.frame.flip);
+        self.chunks.par_iter_mut().for_each(|chunk| T::remain(&step, share, &chunk.blocks, &mut chunk.flip));
     }
 
     /// The velocities that the coming transfer alone gives to the nodes, and the energy that it loses.
     fn audit(&mut self) -> (Vec<[T; 4]>, f64) {
         let mut grids = std::mem::take(&mut self.grids);
-        let step = self.step_input();
-        self.chunks.par_iter().zip(&mut grids).for_each(|(chunk, grid)| T::audit(&step, &chunk.blocks, grid));
+        let step = step_input(&self.frame, &self.layout, &self.velocity);
+        let chunks = self.chunks.par_iter().zip(&mut grids);
+        chunks.for_each(|(chunk, grid)| T::audit(&step, &chunk.blocks, &chunk.flip, grid));
         self.grids = grids;
         let mut velocity = vec![[T::of(0.0); 4]; self.velocity.len()];
         let transferred = self.reduce_into(&mut velocity, Stage::Transferred);
@@ -340,7 +344,7 @@ impl<T: Real> Engine<T> {
 
     /// Puts particles in the order of release into cells.
     fn arrange(&mut self, particles: &[Particle<T>]) -> Result<(), Halt> {
-        let released = [ChunkParticles { blocks: blocks_of(particles), motion: Vec::new() }];
+        let released = [ChunkParticles { blocks: blocks_of(particles), ..ChunkParticles::default() }];
         let layout = sort(&released, self.frame.bed.len(), self.frame.material.weakest, &mut self.chunks)?;
         self.velocity = vec![[T::of(0.0); 4]; layout.nodes()];
         self.adopt(layout);
@@ -368,6 +372,19 @@ impl<T: Real> Engine<T> {
                 }
             }
         }
+    }
+}
+
+/// What every chunk reads of a grid with these velocities.
+fn step_input<'a, T: Real>(frame: &'a Frame<T>, layout: &'a Layout, velocity: &'a [[T; 4]]) -> Step<'a, T> {
+    Step {
+        velocity,
+        offset: &layout.offset,
+        material: &frame.material,
+        limited_above: T::of(frame.limited_above),
+        fall: T::of(frame.fall(frame.limited_beyond)),
+        free_fall: T::of(frame.free_fall()),
+        top: T::of(frame.top_m / frame.mesh_m),
     }
 }
 

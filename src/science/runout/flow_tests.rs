@@ -163,6 +163,18 @@ fn another_code_computes_the_same_flows() {
     }
 }
 
+/// With FLIP blended in, the energies of a flow close as they do without, and it flows about as far.
+#[test]
+fn a_blend_with_flip_flows_and_keeps_its_energies() {
+    let plain = audited(&group_2(ScenarioName::ColdDense, 0.2), 6.0);
+    let blended = audited(&Setup { flip: 0.95, ..group_2(ScenarioName::ColdDense, 0.2) }, 6.0);
+    assert!(blended.closure.abs() < 0.02, "{} of the released energy is unexplained", blended.closure);
+    let way = plain.at_5[0] - plain.start[0];
+    let change = (blended.at_5[0] - plain.at_5[0]) / way;
+    println!("closure {}, rise {}, centre {change}", blended.closure, blended.rise);
+    assert!(change != 0.0 && change.abs() < 0.1, "{change} of the way");
+}
+
 /// Cancels after so many looks.
 struct Impatient(AtomicU32);
 
@@ -176,9 +188,9 @@ impl Progress for Impatient {
 
 #[test]
 fn bits_depend_on_nothing_but_the_setup() {
-    for precision in [Precision::F32, Precision::F64] {
+    for (precision, flip) in [(Precision::F32, 0.0), (Precision::F64, 0.0), (Precision::F32, 0.95)] {
         // fine enough for several chunks
-        let setup = Setup { precision, ..group_2(ScenarioName::ColdDense, 0.05) };
+        let setup = Setup { precision, flip, ..group_2(ScenarioName::ColdDense, 0.05) };
         let whole = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
@@ -244,6 +256,12 @@ fn what_cannot_be_run_is_refused_with_its_limit() {
     }
     let off = Setup { release: Slab { x_m: 468.0, ..good.release }, ..good.clone() };
     assert!(matches!(Simulation::new(&off), Err(RunoutError::Release(_))));
+    for flip in [-0.1, 1.1, f64::NAN] {
+        assert!(matches!(
+            Simulation::new(&Setup { flip, ..good.clone() }),
+            Err(RunoutError::Parameter(error)) if error.name == "flip"
+        ));
+    }
     for friction in [-0.1, f64::NAN] {
         assert!(matches!(
             Simulation::new(&Setup { bed_friction: friction, ..good.clone() }),
@@ -281,4 +299,6 @@ fn particles_take_less_than_200_bytes() {
     let setup = group_2(ScenarioName::ColdDense, 0.05);
     assert_eq!(setup.particles(), 38_400);
     assert!(setup.bytes() < 38_400 * 200, "{}", setup.bytes());
+    let blended = Setup { flip: 0.95, ..setup };
+    assert!(blended.bytes() < 38_400 * 250, "{}", blended.bytes());
 }

@@ -12,7 +12,10 @@ use std::{
 use serde::{Serialize, de::DeserializeOwned};
 
 use super::transfer::{Audit, ChunkGrid, Motion, Step};
-use super::{grid::Reduction, particles::Block};
+use super::{
+    grid::Reduction,
+    particles::{Block, Flip},
+};
 
 /// `f32` or `f64`.
 pub(super) trait Real:
@@ -67,10 +70,19 @@ pub(super) trait Real:
     fn exp_m1(self) -> Self;
 
     /// One step of the particles of a chunk: see [`super::transfer::step`].
-    fn step(step: &Step<'_, Self>, blocks: &mut [Block<Self>], motion: &mut [Motion<Self>], grid: &mut ChunkGrid<Self>);
+    fn step(
+        step: &Step<'_, Self>,
+        blocks: &mut [Block<Self>],
+        motion: &mut [Motion<Self>],
+        flip: &mut [Flip<Self>],
+        grid: &mut ChunkGrid<Self>,
+    );
 
     /// The transfer of a chunk without its forces: see [`super::transfer::audit`].
-    fn audit(audit: &Audit<'_, Self>, blocks: &[Block<Self>], grid: &mut ChunkGrid<Self>);
+    fn audit(audit: &Audit<'_, Self>, blocks: &[Block<Self>], flip: &[Flip<Self>], grid: &mut ChunkGrid<Self>);
+
+    /// What the grid did not take of a chunk's velocities: see [`super::transfer::remain`].
+    fn remain(step: &Step<'_, Self>, share: Self, blocks: &[Block<Self>], flip: &mut [Flip<Self>]);
 
     /// Velocities of the nodes of a chunk: see [`super::grid::reduce`].
     fn reduce(reduction: &Reduction<'_, Self>, velocity: &mut [[Self; 4]]) -> super::grid::Reduced;
@@ -118,7 +130,7 @@ macro_rules! real {
     (
         $t:ident, $vector:ty, $signed:ident, $mantissa:literal, $bias:literal, $round:literal, $steps:literal,
         atanh $atanh:expr, cosh $cosh:expr, sinh $sinh:expr, exp $exp:expr, ln_2 ($high:expr, $low:expr),
-        $step:ident, $audit:ident, $reduce:ident
+        $step:ident, $audit:ident, $remain:ident, $reduce:ident
     ) => {
         impl Real for $t {
             type V = $vector;
@@ -206,13 +218,18 @@ macro_rules! real {
                 step: &Step<'_, $t>,
                 blocks: &mut [Block<$t>],
                 motion: &mut [Motion<$t>],
+                flip: &mut [Flip<$t>],
                 grid: &mut ChunkGrid<$t>,
             ) {
-                super::transfer::$step(step, blocks, motion, grid)
+                super::transfer::$step(step, blocks, motion, flip, grid)
             }
 
-            fn audit(audit: &Audit<'_, $t>, blocks: &[Block<$t>], grid: &mut ChunkGrid<$t>) {
-                super::transfer::$audit(audit, blocks, grid)
+            fn audit(audit: &Audit<'_, $t>, blocks: &[Block<$t>], flip: &[Flip<$t>], grid: &mut ChunkGrid<$t>) {
+                super::transfer::$audit(audit, blocks, flip, grid)
+            }
+
+            fn remain(step: &Step<'_, $t>, share: $t, blocks: &[Block<$t>], flip: &mut [Flip<$t>]) {
+                super::transfer::$remain(step, share, blocks, flip)
             }
 
             fn reduce(reduction: &Reduction<'_, $t>, velocity: &mut [[$t; 4]]) -> super::grid::Reduced {
@@ -231,7 +248,7 @@ real!(
     sinh [1.0 / 120.0, 1.0 / 6.0],
     exp [1.0 / 5_040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5],
     ln_2 (355.0 / 512.0, -2.121_944_4e-4),
-    step_f32, audit_f32, reduce_f32
+    step_f32, audit_f32, remain_f32, reduce_f32
 );
 real!(
     f64, super::vector::Four, i64, 52, 1023, 6_755_399_441_055_744.0, 4,
@@ -245,7 +262,7 @@ real!(
         1.0 / 5_040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5
     ],
     ln_2 (f64::from_bits(0x3fe6_2e42_fee0_0000), f64::from_bits(0x3dea_39ef_3579_3c76)),
-    step_f64, audit_f64, reduce_f64
+    step_f64, audit_f64, remain_f64, reduce_f64
 );
 
 #[cfg(test)]

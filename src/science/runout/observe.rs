@@ -4,7 +4,7 @@ use super::{
     engine::Engine,
     error::{Dump, ParticleState},
     lanes::Real,
-    particles::{BLOCK, Block},
+    particles::{BLOCK, Block, Flip},
     snapshot::{Energies, Snapshot},
     transfer::{Motion, weights},
 };
@@ -12,12 +12,13 @@ use super::{
 /// Particles in a [`Dump`] besides the one that broke the run.
 const NEIGHBOURS: usize = 64;
 
-/// Every block with the motion of its particles: that which brought them where they are, else that of the grid there.
-fn in_motion<T: Real>(engine: &Engine<T>) -> impl Iterator<Item = (&Block<T>, Motion<T>)> {
+/// Every block with the motion of its particles, that which brought them where they are or else that of the grid there, and
+/// their own velocities where FLIP is blended in.
+fn in_motion<T: Real>(engine: &Engine<T>) -> impl Iterator<Item = (&Block<T>, Motion<T>, Option<&Flip<T>>)> {
     engine.chunks.iter().flat_map(move |chunk| {
         chunk.blocks.iter().enumerate().map(move |(index, block)| {
             let kept = chunk.motion.get(index).copied();
-            (block, kept.unwrap_or_else(|| motion_of_grid(engine, block)))
+            (block, kept.unwrap_or_else(|| motion_of_grid(engine, block)), chunk.flip.get(index))
         })
     })
 }
@@ -78,13 +79,14 @@ pub(super) fn snapshot<T: Real>(engine: &Engine<T>) -> Snapshot {
         plastic_strain: none,
     };
     let speed = frame.mesh_m / frame.time_step_s;
-    for (block, motion) in in_motion(engine) {
+    for (block, motion, flip) in in_motion(engine) {
+        let (vx, vz) = flip.map_or((&motion.vx, &motion.vz), |flip| (&flip.vx, &flip.vz));
         for k in 0..block.len {
             let id = block.id[k] as usize;
             let [x, z] = position(engine, block, k);
             (out.x_m[id], out.z_m[id]) = (x as f32, z as f32);
-            out.vx_m_s[id] = (motion.vx[k].f64() * speed) as f32;
-            out.vz_m_s[id] = (motion.vz[k].f64() * speed) as f32;
+            out.vx_m_s[id] = (vx[k].f64() * speed) as f32;
+            out.vz_m_s[id] = (vz[k].f64() * speed) as f32;
             let plastic = block.plastic_strain[k].f64();
             let dilation = elastic_strains(block, k).0 + plastic - frame.plastic_strain_at_release;
             out.density_kg_m3[id] = (frame.density_kg_m3 * (-dilation).exp()) as f32;
@@ -94,14 +96,14 @@ pub(super) fn snapshot<T: Real>(engine: &Engine<T>) -> Snapshot {
     out
 }
 
-/// Energies, J a metre of width.
+/// Energies, J a metre of width; kinetic energy is that which the grid carries, also where FLIP is blended in.
 pub(super) fn energies<T: Real>(engine: &Engine<T>) -> Energies {
     let frame = &engine.frame;
     let mass = frame.density_kg_m3 * frame.particle_area_m2;
     let unit = mass * (frame.mesh_m / frame.time_step_s).powi(2);
     let [bed, transfer] = engine.ledger.lost(engine.steps).map(|lost| unit * lost);
     let mut out = Energies { bed, plastic: unit * engine.ledger.plastic, transfer, ..Energies::default() };
-    for (block, motion) in in_motion(engine) {
+    for (block, motion, _) in in_motion(engine) {
         for k in 0..block.len {
             let square = |values: &[T]| values.iter().map(|value| value.f64() * value.f64()).sum::<f64>();
             out.kinetic += unit * 0.5 * square(&[motion.vx[k], motion.vz[k]]);

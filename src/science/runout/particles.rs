@@ -40,6 +40,37 @@ pub(super) struct Block<T> {
     pub(super) len: usize,
 }
 
+/// What a FLIP blend keeps of the particles of a block from one step to the next, cells a step.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(super) struct Flip<T> {
+    /// Velocity.
+    pub(super) vx: [T; BLOCK],
+    pub(super) vz: [T; BLOCK],
+    /// The share of it that the grid did not take and that the coming step gives back.
+    pub(super) rx: [T; BLOCK],
+    pub(super) rz: [T; BLOCK],
+}
+
+impl<T: Real> Default for Flip<T> {
+    fn default() -> Self {
+        let zero = [T::of(0.0); BLOCK];
+        Self { vx: zero, vz: zero, rx: zero, rz: zero }
+    }
+}
+
+impl<T: Real> Flip<T> {
+    /// Velocity and remainder (x, z) of the particle at `k`.
+    pub(super) fn get(&self, k: usize) -> [T; 4] {
+        [self.vx[k], self.vz[k], self.rx[k], self.rz[k]]
+    }
+
+    /// Puts them at `k`.
+    pub(super) fn set(&mut self, k: usize, values: [T; 4]) {
+        [self.vx[k], self.vz[k], self.rx[k], self.rz[k]] = values;
+    }
+}
+
 /// One particle, as it travels between blocks.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Particle<T> {

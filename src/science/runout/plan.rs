@@ -183,6 +183,7 @@ impl Plan {
             time_step_s: 0.0,
             limited_above: LIMITED_ABOVE,
             limited_beyond: LIMITED_BEYOND,
+            flip: inputs.transfer.flip,
             precision: inputs.precision,
             memory_limit_bytes,
         };
@@ -307,6 +308,8 @@ fn range_faults(inputs: &RunoutInputs) -> Vec<InputError> {
     let end = inputs.end_time_s;
     check("/end_time_s", end, (shortest..=longest).contains(&end), &format!("from {shortest} to {longest} s"));
     check("/bed/mu", inputs.bed.mu, (0.0..=10.0).contains(&inputs.bed.mu), "from 0 to 10");
+    let flip = inputs.transfer.flip;
+    check("/transfer/flip", flip, (0.0..=1.0).contains(&flip), "from 0 to 1");
     check("/seed", inputs.seed as f64, inputs.seed <= LARGEST_SEED, "from 0 to 9007199254740991 (2^53 - 1)");
     if let Some(mesh) = inputs.mesh_m {
         check("/mesh_m", mesh, (1e-3..=10.0).contains(&mesh), "from 0.001 to 10 m");
@@ -331,6 +334,7 @@ fn parameter_error(error: &ParameterError) -> InputError {
         "youngs_modulus_pa" => ("/snow/youngs_modulus_mpa", 1e6, "from 0.001 to 100000 MPa"),
         "poisson_ratio" => ("/snow/poisson_ratio", 1.0, error.accepted),
         "bed_friction" => ("/bed/mu", 1.0, error.accepted),
+        "flip" => ("/transfer/flip", 1.0, error.accepted),
         "time_step_s" => ("/time_step_s", 1.0, error.accepted),
         _ => ("/mesh_m", 1.0, error.accepted),
     };

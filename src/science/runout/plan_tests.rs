@@ -76,6 +76,7 @@ fn what_is_left_out_is_that_of_table_1() {
     assert_eq!((snow.density_kg_m3, snow.youngs_modulus_pa, snow.poisson_ratio), (250.0, 3e6, 0.3));
     assert_eq!((snow.friction, snow.cohesion, snow.hardening, snow.strength_pa), (0.5, 0.3, 1.0, 12_000.0));
     assert_eq!((plan.end_time_s, plan.setup.precision), (60.0, Precision::F32));
+    assert_eq!(plan.setup.flip, 0.0);
     // the centre's way down the slope is (65 - 9 sin 40) / cos 40 m; half of it
     let half = 0.5 * (65.0 - 9.0 * 40_f64.to_radians().sin());
     assert!((plan.mid_slope_m - (half - 65.0)).abs() < 1e-12);
@@ -144,6 +145,8 @@ fn numbers_outside_of_the_model_are_named() {
         ("/snow/density_kg_m3", snow("density_kg_m3", 0.0)),
         ("/snow/youngs_modulus_mpa", snow("youngs_modulus_mpa", -3.0)),
         ("/bed/mu", json!({"bed": {"mu": -0.5}})),
+        ("/transfer/flip", json!({"transfer": {"flip": 1.01}})),
+        ("/transfer/flip", json!({"transfer": {"flip": -0.1}})),
         ("/mesh_m", json!({"mesh_m": 0.0})),
         ("/mesh_m", json!({"mesh_m": 0.51})),
         ("/time_step_s", json!({"time_step_s": 0.0})),

@@ -222,6 +222,18 @@ impl Default for BedInputs {
     }
 }
 
+/// How particles and grid exchange their motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct TransferInputs {
+    /// Share of FLIP, dimensionless, from 0 to 1. With 0, affine particle in cell (APIC), particles have the velocity of the
+    /// grid; with FLIP they keep this share of what the grid could not take of their own, which dissipates less and is noisy.
+    /// They move with the grid and give its velocity gradient in either case.
+    #[cfg_attr(feature = "schema", schema(minimum = 0, maximum = 1, default = 0.0))]
+    pub flip: f64,
+}
+
 /// A bed of the caller.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
@@ -300,6 +312,10 @@ pub struct RunoutInputs {
     #[serde(default)]
     #[cfg_attr(feature = "schema", schema(value_type = String, pattern = "^(associative|associative_implicit|nacc)$", default = "associative"))]
     pub flow_rule: FlowRule,
+    /// How particles and grid exchange their motion.
+    #[serde(default)]
+    #[cfg_attr(feature = "schema", schema(inline))]
+    pub transfer: TransferInputs,
     /// Numbers to compute in: `f32`, or `f64`.
     #[serde(default)]
     #[cfg_attr(feature = "schema", schema(value_type = String, pattern = "^(f32|f64)$", default = "f32"))]
@@ -353,6 +369,7 @@ impl RunoutInputs {
             snow: None,
             bed: BedInputs::default(),
             flow_rule: FlowRule::default(),
+            transfer: TransferInputs::default(),
             precision: Precision::default(),
             quality: None,
             mesh_m: None,

@@ -10,7 +10,7 @@ use super::{
     lanes::Real,
     material::{FlowRule, Material, ParameterError, ShearNorm, Snow, check},
     observe,
-    particles::{BLOCK, Block},
+    particles::{BLOCK, Block, Flip},
     release::{Placement, Slab},
     snapshot::{Energies, Snapshot},
     terrain::Terrain,
@@ -84,6 +84,8 @@ pub struct Setup {
     pub limited_above: f64,
     /// The share of the speed of that fall above which this holds, usually [`LIMITED_BEYOND`].
     pub limited_beyond: f64,
+    /// The share of FLIP in the transfer, from 0 to 1; 0 is plain APIC, see [`super::scenario::TransferInputs`].
+    pub flip: f64,
     /// Numbers in which the run is computed.
     pub precision: Precision,
     /// Bytes that the run may take.
@@ -115,10 +117,15 @@ impl Setup {
     /// Bytes that the run takes, about: its particles twice, because they are sorted, and a grid of as many nodes.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        let per_block = match self.precision {
-            Precision::F32 => 2 * size_of::<Block<f32>>() + size_of::<Motion<f32>>() + (7 * 4 + 8) * BLOCK,
-            Precision::F64 => 2 * size_of::<Block<f64>>() + size_of::<Motion<f64>>() + (7 * 8 + 8) * BLOCK,
+        let (per_block, flip) = match self.precision {
+            Precision::F32 => {
+                (2 * size_of::<Block<f32>>() + size_of::<Motion<f32>>() + (7 * 4 + 8) * BLOCK, size_of::<Flip<f32>>())
+            }
+            Precision::F64 => {
+                (2 * size_of::<Block<f64>>() + size_of::<Motion<f64>>() + (7 * 8 + 8) * BLOCK, size_of::<Flip<f64>>())
+            }
         };
+        let per_block = per_block + if self.flip > 0.0 { 2 * flip } else { 0 };
         self.particles().div_ceil(BLOCK as u64).saturating_mul(per_block as u64)
     }
 
@@ -140,6 +147,7 @@ impl Setup {
         }
         let beyond = self.limited_beyond;
         check("limited_beyond", beyond, (0.0..=10.0).contains(&beyond), "from 0 to 10")?;
+        check("flip", self.flip, (0.0..=1.0).contains(&self.flip), "from 0 to 1")?;
         let (time_step_s, limit_s) = (self.time_step_s, self.time_step_limit_s());
         check("time_step_s", time_step_s, time_step_s > 0.0, "above 0")?;
         if time_step_s > limit_s {
@@ -185,6 +193,7 @@ impl Setup {
             sticky: self.contact == Contact::Sticky,
             limited_above: self.limited_above,
             limited_beyond: self.limited_beyond,
+            flip: self.flip,
             top_m: self.release.top_m(&self.terrain),
         }
     }

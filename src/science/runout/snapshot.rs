@@ -25,7 +25,7 @@ pub struct Snapshot {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Energies {
-    /// Kinetic energy of the particles' velocities.
+    /// Kinetic energy of the velocities that particles have of the grid.
     pub kinetic: f64,
     /// Kinetic energy of the affine part of their motion.
     pub affine: f64,

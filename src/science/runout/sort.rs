@@ -9,7 +9,7 @@ use super::{
     engine::ChunkParticles,
     grid::{ChunkSpan, Layout, NoLayout, Occupied},
     lanes::Real,
-    particles::{BLOCK, Block},
+    particles::{BLOCK, Block, Flip},
 };
 
 /// Columns that the particles of a chunk are in, and of each its rows and number of particles.
@@ -104,11 +104,11 @@ impl<T: Real> Keys<T> {
 }
 
 /// Collects the particles of a chunk from those around it.
-fn fill<T: Real>(
+fn fill<'a, T: Real>(
     layout: &Layout,
     span: &ChunkSpan,
     weakest: T,
-    around: &[&ChunkParticles<T>],
+    around: &[&'a ChunkParticles<T>],
     chunk: &mut ChunkParticles<T>,
 ) {
     let [from, to] = span.columns.map(|column| column as usize);
@@ -131,12 +131,22 @@ fn fill<T: Real>(
     }
     chunk.motion.clear();
     chunk.blocks.resize(span.blocks(), Block::empty(0, 0));
-    for block in around.iter().flat_map(|particles| &particles.blocks).filter(inside) {
+    let blended = around.iter().any(|particles| !particles.flip.is_empty());
+    chunk.flip.clear();
+    chunk.flip.resize(if blended { span.blocks() } else { 0 }, Flip::default());
+    let with_flip = |particles: &&'a ChunkParticles<T>| {
+        let particles = *particles;
+        particles.blocks.iter().enumerate().map(|(index, block)| (block, particles.flip.get(index)))
+    };
+    for (block, flip) in around.iter().flat_map(with_flip).filter(|(block, _)| inside(block)) {
         for k in 0..block.len.min(BLOCK) {
             if let Some(key) = keys.of(block, k) {
                 let at = next[key] as usize;
                 next[key] += 1;
                 chunk.blocks[at / BLOCK].set(at % BLOCK, &block.get(k));
+                if let Some(flip) = flip {
+                    chunk.flip[at / BLOCK].set(at % BLOCK, flip.get(k));
+                }
             }
         }
     }

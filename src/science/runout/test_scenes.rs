@@ -31,6 +31,7 @@ pub(super) fn setup(terrain: Terrain, release: Slab, snow: Snow, mesh_m: f64) ->
         time_step_s: 2.3e-4 * mesh_m / 0.05,
         limited_above: LIMITED_ABOVE,
         limited_beyond: LIMITED_BEYOND,
+        flip: 0.0,
         precision: Precision::F32,
         memory_limit_bytes: 1 << 30,
     }

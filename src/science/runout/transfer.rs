@@ -9,7 +9,7 @@ use super::{
     lanes::Real,
     limit::{Extremes, limit},
     material::Material,
-    particles::{BLOCK, Block, Place},
+    particles::{BLOCK, Block, Flip, Place},
     stress::{Stress, deform},
     vector::Vector,
 };
@@ -311,12 +311,30 @@ fn add_column<T: Real>(nodes: &mut [[T; 4]], base: u32, rows: [T::V; 3], level: 
     Some(())
 }
 
-/// The particles' velocities from the grid, their deformation, stress and new places, and what they give to the grid again.
+/// Gives the particles of a block back what the grid did not take: their velocities then are the FLIP blend.
 #[inline(always)]
-fn step<T: Real>(step: &Step<'_, T>, blocks: &mut [Block<T>], motion: &mut [Motion<T>], grid: &mut ChunkGrid<T>) {
+fn give_back<T: Real>(flip: &Flip<T>, motion: &mut Motion<T>) {
+    for k in 0..BLOCK {
+        motion.vx[k] += flip.rx[k];
+        motion.vz[k] += flip.rz[k];
+    }
+}
+
+/// The particles' velocities from the grid, their deformation, stress and new places, and what they give to the grid again.
+///
+/// `flip` is empty in plain APIC. Else the velocities that particles give are blended with their own (FLIP: Brackbill &
+/// Ruppel 1986, J. Comput. Phys. 65, 314); they move with the grid, and give its gradient, in either case.
+#[inline(always)]
+fn step<T: Real>(
+    step: &Step<'_, T>,
+    blocks: &mut [Block<T>],
+    motion: &mut [Motion<T>],
+    flip: &mut [Flip<T>],
+    grid: &mut ChunkGrid<T>,
+) {
     grid.clear();
     let mut scratch = Scratch::new();
-    let mut keep = motion.iter_mut();
+    let (mut keep, mut flip) = (motion.iter_mut(), flip.iter_mut());
     for block in blocks {
         grid.lost += gather(step, &block.place, &mut scratch);
         if let Some(motion) = keep.next() {
@@ -325,6 +343,10 @@ fn step<T: Real>(step: &Step<'_, T>, blocks: &mut [Block<T>], motion: &mut [Moti
         deform(step.material, &scratch.motion, block, &mut scratch.stress);
         limit(step, block, &mut scratch.motion, &mut scratch.extremes);
         advance(&scratch.motion, &mut block.place);
+        if let Some(flip) = flip.next() {
+            give_back(flip, &mut scratch.motion);
+            (flip.vx, flip.vz) = (scratch.motion.vx, scratch.motion.vz);
+        }
         prepare(&block.place, &mut scratch);
         grid.lost += scatter(step.offset, &block.place, block.len, &scratch, grid);
     }
@@ -333,24 +355,51 @@ fn step<T: Real>(step: &Step<'_, T>, blocks: &mut [Block<T>], motion: &mut [Moti
 
 /// What the particles would give to the grid if they carried no stress; nothing else changes.
 #[inline(always)]
-fn audit<T: Real>(step: &Audit<'_, T>, blocks: &[Block<T>], grid: &mut ChunkGrid<T>) {
+fn audit<T: Real>(step: &Audit<'_, T>, blocks: &[Block<T>], flip: &[Flip<T>], grid: &mut ChunkGrid<T>) {
     grid.clear();
     let mut scratch = Scratch::new();
+    let mut flip = flip.iter();
     for block in blocks {
         let mut place = block.place;
         grid.lost += gather(step, &place, &mut scratch);
         limit(step, block, &mut scratch.motion, &mut scratch.extremes);
         advance(&scratch.motion, &mut place);
+        if let Some(flip) = flip.next() {
+            give_back(flip, &mut scratch.motion);
+        }
         prepare(&place, &mut scratch);
         grid.lost += scatter(step.offset, &place, block.len, &scratch, grid);
     }
 }
 
+/// What the grid did not take of the particles' velocities: `share` of their difference from those of `step`, which are the
+/// velocities that the transfer alone gave to the nodes.
+#[inline(always)]
+fn remain<T: Real>(step: &Step<'_, T>, share: T, blocks: &[Block<T>], flip: &mut [Flip<T>]) {
+    let mut scratch = Scratch::new();
+    for (block, flip) in blocks.iter().zip(flip) {
+        // who has no nodes was counted by the step
+        gather(step, &block.place, &mut scratch);
+        for k in 0..BLOCK {
+            flip.rx[k] = share * (flip.vx[k] - scratch.motion.vx[k]);
+            flip.rz[k] = share * (flip.vz[k] - scratch.motion.vz[k]);
+        }
+    }
+}
+
 dispatched!(step_f32 => step(
-    input: &Step<'_, f32>, blocks: &mut [Block<f32>], motion: &mut [Motion<f32>], grid: &mut ChunkGrid<f32>
+    input: &Step<'_, f32>, blocks: &mut [Block<f32>], motion: &mut [Motion<f32>], flip: &mut [Flip<f32>],
+    grid: &mut ChunkGrid<f32>
 ));
 dispatched!(step_f64 => step(
-    input: &Step<'_, f64>, blocks: &mut [Block<f64>], motion: &mut [Motion<f64>], grid: &mut ChunkGrid<f64>
+    input: &Step<'_, f64>, blocks: &mut [Block<f64>], motion: &mut [Motion<f64>], flip: &mut [Flip<f64>],
+    grid: &mut ChunkGrid<f64>
 ));
-dispatched!(audit_f32 => audit(input: &Audit<'_, f32>, blocks: &[Block<f32>], grid: &mut ChunkGrid<f32>));
-dispatched!(audit_f64 => audit(input: &Audit<'_, f64>, blocks: &[Block<f64>], grid: &mut ChunkGrid<f64>));
+dispatched!(audit_f32 => audit(
+    input: &Audit<'_, f32>, blocks: &[Block<f32>], flip: &[Flip<f32>], grid: &mut ChunkGrid<f32>
+));
+dispatched!(audit_f64 => audit(
+    input: &Audit<'_, f64>, blocks: &[Block<f64>], flip: &[Flip<f64>], grid: &mut ChunkGrid<f64>
+));
+dispatched!(remain_f32 => remain(input: &Step<'_, f32>, share: f32, blocks: &[Block<f32>], flip: &mut [Flip<f32>]));
+dispatched!(remain_f64 => remain(input: &Step<'_, f64>, share: f64, blocks: &[Block<f64>], flip: &mut [Flip<f64>]));

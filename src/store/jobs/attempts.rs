@@ -8,7 +8,10 @@ use uuid::Uuid;
 use super::{children, history, outputs, rows::JobRow, step};
 use crate::{
     domain::job::{Event, Exception, Job, Report, Spent, Status},
-    store::{Result, Store, StoreError, datasets, jobs::Kept, models, parse_timestamp, selections, to_json},
+    store::{
+        Result, Store, StoreError, datasets, jobs::Kept, models, parse_timestamp, proposals, selections, to_json,
+        transfers,
+    },
 };
 
 /// What became of the wish to take a job.
@@ -299,6 +302,15 @@ impl Store {
                         }
                         Kept::Selection(selection) => {
                             selections::insert(&mut tx, selection, now).await?;
+                            serde_json::json!({})
+                        }
+                        Kept::Proposal(proposal) => {
+                            proposals::insert(&mut tx, proposal, now).await?;
+                            let model = proposal.model.record.id;
+                            serde_json::json!({"proposal_id": proposal.id, "model_id": model, "activated": false})
+                        }
+                        Kept::Transfer(transfer) => {
+                            transfers::insert(&mut tx, transfer, now).await?;
                             serde_json::json!({})
                         }
                     };

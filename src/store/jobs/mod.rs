@@ -19,7 +19,10 @@ pub use idempotency::{Answer, Held, Reservation};
 pub use outputs::OutputRecord;
 use rows::JobRow;
 
-use super::{Result, Store, StoreError, models::NewModel, selections::NewSelection, to_json};
+use super::{
+    Result, Store, StoreError, models::NewModel, proposals::NewProposal, selections::NewSelection, to_json,
+    transfers::NewTransfer,
+};
 use crate::domain::{
     dataset::Dataset,
     job::{Event, Job, Status, Wanted},
@@ -34,6 +37,10 @@ pub enum Kept {
     Dataset(Box<Dataset>),
     /// What a feature elimination found.
     Selection(Box<NewSelection>),
+    /// A model that a retraining proposes.
+    Proposal(Box<NewProposal>),
+    /// How a model did at another place.
+    Transfer(Box<NewTransfer>),
 }
 
 /// Which jobs a list shows.
@@ -89,7 +96,7 @@ fn wanted(wanted: &Wanted) -> Result<Option<String>> {
 }
 
 /// Writes a job that nobody has taken yet.
-async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &Job) -> Result<()> {
+pub(super) async fn insert(tx: &mut Transaction<'_, Sqlite>, job: &Job) -> Result<()> {
     sqlx::query(
         "INSERT INTO job (id, process_id, status, progress, inputs, input_hash, version, submitted_by, labels, priority,
              parent, position, created, updated, ticketed_ms, wanted)

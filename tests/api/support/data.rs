@@ -11,6 +11,7 @@ use firn::{
     },
     store::{
         Store,
+        audit::Actor,
         observations::{Author, DayWrite},
     },
 };
@@ -34,7 +35,7 @@ pub async fn synthetic(store: Store, id: &'static str, days: Vec<DayRecord>) {
     let id: StationId = id.parse().unwrap();
     let body: StationBody = serde_json::from_value(json!({"name": "Generated, no real place"})).unwrap();
     let now = firn::clock::now();
-    store.put_station(&id, &body, true, now, |_| true).await.unwrap();
+    store.put_station(&id, &body, true, &Actor::service(now), |_| true).await.unwrap();
     let write = |day: &DayRecord| DayWrite {
         date: day.date,
         values: Some(day.values),

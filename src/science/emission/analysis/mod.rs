@@ -222,7 +222,7 @@ fn analyse(
             let (positions, _) = catalogue.positions(kind)?;
             let grain = catalogue.metadata.grain_size_mm.map(|size| size * 1e-3);
             let error = catalogue.metadata.location_error_m;
-            let found = correlation_integral(&positions, error, grain, options, seed, progress)?;
+            let found = correlation_integral(&positions, error, grain, options, progress)?;
             Outcome::CorrelationIntegral(found)
         }
         Request::WaitingTimes(options) => {

@@ -106,6 +106,19 @@ fn common(parts: &[Catalogue; 2], options: &DistributionOptions, xmin: f64) -> O
     common_exponent(&[tail(&parts[0])?, tail(&parts[1])?], Model::CutoffPowerLaw).ok()
 }
 
+/// Whether both phases have enough events.
+pub(super) fn check(catalogue: &Catalogue) -> Result<(), EmissionError> {
+    let phase = catalogue.require(Column::Phase, "phase_comparison")?;
+    let unloading = phase.iter().filter(|&&phase| phase == 1.0).count();
+    enough(phase.len() - unloading, Phase::Loading).and_then(|()| enough(unloading, Phase::Unloading))
+}
+
+fn enough(found: usize, phase: Phase) -> Result<(), EmissionError> {
+    const NEEDED: usize = 20;
+    let what = if phase == Phase::Loading { "events while loading" } else { "events while unloading" };
+    if found < NEEDED { Err(EmissionError::TooFewEvents { what, found, needed: NEEDED }) } else { Ok(()) }
+}
+
 fn summary(
     catalogue: &Catalogue,
     phase: Phase,
@@ -113,15 +126,11 @@ fn summary(
     seed: u64,
     progress: &dyn Progress,
 ) -> Result<PhaseSummary, EmissionError> {
-    const NEEDED: usize = 20;
-    let what = if phase == Phase::Loading { "events while loading" } else { "events while unloading" };
-    if catalogue.len() < NEEDED {
-        return Err(EmissionError::TooFewEvents { what, found: catalogue.len(), needed: NEEDED });
-    }
+    enough(catalogue.len(), phase)?;
     let result = fit_sample(&sample(catalogue, &options.fit)?, &options.fit, seed, progress)?;
     let dimension = catalogue.positions("phase_comparison").ok().and_then(|(positions, _)| {
         let error = catalogue.metadata.location_error_m;
-        correlation_integral(&positions, error, None, &CorrelationOptions::default(), seed, progress).ok()
+        correlation_integral(&positions, error, None, &CorrelationOptions::default(), progress).ok()
     });
     let waiting = catalogue.column(Column::TimeS).and_then(|times| {
         let amplitudes = catalogue.amplitudes_v("phase_comparison").ok()?;

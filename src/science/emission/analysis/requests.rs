@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Request, source_model};
+use super::{Request, phases, source_model};
 use crate::emission::activity::Abscissa;
 use crate::emission::calibration::{LeadBreak, calibrate};
 use crate::emission::catalogue::{Catalogue, Column};
@@ -186,9 +186,13 @@ pub(super) fn check(catalogue: &Catalogue, request: &Request) -> Result<(), Emis
     };
     let column = |column: Column| catalogue.require(column, kind).map(|_| ());
     match request {
-        Request::AmplitudeDistribution(options) => amplitude().and_then(|()| events(3)).and_then(|()| fit(options)),
+        Request::AmplitudeDistribution(options) => {
+            amplitude().and_then(|()| events(3)).and_then(|()| fit(options))?;
+            enough(&catalogue.amplitudes_v(kind)?, options, "amplitudes from xmin to xmax")
+        }
         Request::EnergyDistribution(options) => {
-            column(Column::EnergyEu).and_then(|()| events(3)).and_then(|()| fit(options))
+            column(Column::EnergyEu).and_then(|()| events(3)).and_then(|()| fit(options))?;
+            enough(catalogue.require(Column::EnergyEu, kind)?, options, "energies from xmin to xmax")
         }
         Request::DurationScaling(options) => amplitude()
             .and_then(|()| column(Column::DurationUs))
@@ -227,7 +231,8 @@ pub(super) fn check(catalogue: &Catalogue, request: &Request) -> Result<(), Emis
         }
         Request::MonteCarloValidation(options) => {
             within("replicates", options.replicates, 2, MOST_REPLICATES)?;
-            amplitude().and_then(|()| events(3)).and_then(|()| fit(&options.fit))
+            amplitude().and_then(|()| events(3)).and_then(|()| fit(&options.fit))?;
+            enough(&catalogue.amplitudes_v(kind)?, &options.fit, "amplitudes from xmin to xmax")
         }
         Request::SourceModel(options) => {
             amplitude().and_then(|()| events(1)).and_then(|()| source_model::check(catalogue, options))
@@ -235,9 +240,19 @@ pub(super) fn check(catalogue: &Catalogue, request: &Request) -> Result<(), Emis
         Request::Calibration(options) => calibrate(&options.breaks).map(|_| ()),
         Request::PhaseComparison(options) => {
             amplitude().and_then(|()| column(Column::Phase))?;
+            phases::check(catalogue)?;
             fit(&options.fit).and_then(|()| options.duration.check())
         }
     }
+}
+
+/// Whether a tail whose bounds are given holds the three values that any fit needs.
+fn enough(values: &[f64], options: &DistributionOptions, what: &'static str) -> Result<(), EmissionError> {
+    let (low, high) = (options.xmin.unwrap_or(f64::MIN_POSITIVE), options.xmax.unwrap_or(f64::INFINITY));
+    // rounded decibels stand for a bin around them: a bound is one of its edges
+    let slack = 10f64.powf(options.db_step.unwrap_or(3.0) / 20.0);
+    let (found, needed) = (values.iter().filter(|&&x| x >= low / slack && x <= high * slack).count(), 3);
+    if found < needed { Err(EmissionError::TooFewEvents { what, found, needed }) } else { Ok(()) }
 }
 
 fn at_most(option: &'static str, value: usize, most: usize) -> Result<(), EmissionError> {

@@ -52,6 +52,22 @@ pub enum Column {
     StressMpa,
     /// 0 while loading, 1 while unloading.
     Phase,
+    /// Standard error of a coordinate, m; NaN where the event was not located.
+    XSeM,
+    /// Standard error of a coordinate, m; NaN where the event was not located.
+    YSeM,
+    /// Standard error of a coordinate, m; NaN where the event was not located.
+    ZSeM,
+    /// Covariance of two coordinates, m2; NaN where the event was not located.
+    XyCovM2,
+    /// Covariance of two coordinates, m2; NaN where the event was not located.
+    XzCovM2,
+    /// Covariance of two coordinates, m2; NaN where the event was not located.
+    YzCovM2,
+    /// Root mean square of the residuals of the arrival times, us; NaN where the event was not located.
+    ResidualUs,
+    /// Channels that an event was recorded by.
+    Channels,
 }
 
 impl Column {
@@ -74,11 +90,19 @@ impl Column {
             Self::Strain => "strain",
             Self::StressMpa => "stress_mpa",
             Self::Phase => "phase",
+            Self::XSeM => "x_se_m",
+            Self::YSeM => "y_se_m",
+            Self::ZSeM => "z_se_m",
+            Self::XyCovM2 => "xy_cov_m2",
+            Self::XzCovM2 => "xz_cov_m2",
+            Self::YzCovM2 => "yz_cov_m2",
+            Self::ResidualUs => "residual_us",
+            Self::Channels => "channels",
         }
     }
 
     /// All columns.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 23] = [
         Self::TimeS,
         Self::AmplitudeV,
         Self::AmplitudeDb,
@@ -94,6 +118,14 @@ impl Column {
         Self::Strain,
         Self::StressMpa,
         Self::Phase,
+        Self::XSeM,
+        Self::YSeM,
+        Self::ZSeM,
+        Self::XyCovM2,
+        Self::XzCovM2,
+        Self::YzCovM2,
+        Self::ResidualUs,
+        Self::Channels,
     ];
 
     /// The unit of its values; `1` is a pure number.
@@ -103,11 +135,12 @@ impl Column {
             Self::TimeS => "s",
             Self::AmplitudeV => "V",
             Self::AmplitudeDb | Self::ThresholdDb => "dB_AE",
-            Self::DurationUs | Self::RiseTimeUs => "us",
+            Self::DurationUs | Self::RiseTimeUs | Self::ResidualUs => "us",
             Self::EnergyEu => "eu",
-            Self::XM | Self::YM | Self::ZM => "m",
+            Self::XM | Self::YM | Self::ZM | Self::XSeM | Self::YSeM | Self::ZSeM => "m",
+            Self::XyCovM2 | Self::XzCovM2 | Self::YzCovM2 => "m2",
             Self::StressMpa => "MPa",
-            Self::Counts | Self::Channel | Self::Strain | Self::Phase => "1",
+            Self::Counts | Self::Channel | Self::Channels | Self::Strain | Self::Phase => "1",
         }
     }
 
@@ -117,10 +150,28 @@ impl Column {
         Self::ALL.into_iter().find(|column| column.name() == name)
     }
 
-    /// Whether a value may be missing (NaN): a coordinate, of an event that was not located.
+    /// Whether a value may be missing (NaN): what is said of the place of an event that was not located.
     #[must_use]
     pub const fn may_be_missing(self) -> bool {
-        matches!(self, Self::XM | Self::YM | Self::ZM)
+        matches!(
+            self,
+            Self::XM
+                | Self::YM
+                | Self::ZM
+                | Self::XSeM
+                | Self::YSeM
+                | Self::ZSeM
+                | Self::XyCovM2
+                | Self::XzCovM2
+                | Self::YzCovM2
+                | Self::ResidualUs
+        )
+    }
+
+    /// Whether it says where an event was.
+    #[must_use]
+    pub const fn is_of_place(self) -> bool {
+        self.may_be_missing() || matches!(self, Self::Channels)
     }
 
     /// What is accepted in the column, in words and as a rule.
@@ -128,8 +179,13 @@ impl Column {
     pub fn accepts(self) -> (&'static str, fn(f64) -> bool) {
         match self {
             Self::AmplitudeV => ("a finite number above 0", |x| x.is_finite() && x > 0.0),
-            Self::XM | Self::YM | Self::ZM => ("a finite number, or none", |x| !x.is_infinite()),
-            Self::DurationUs | Self::RiseTimeUs | Self::Counts | Self::EnergyEu | Self::Channel => {
+            Self::XM | Self::YM | Self::ZM | Self::XyCovM2 | Self::XzCovM2 | Self::YzCovM2 => {
+                ("a finite number, or none", |x| !x.is_infinite())
+            }
+            Self::XSeM | Self::YSeM | Self::ZSeM | Self::ResidualUs => {
+                ("a finite number of at least 0, or none", |x| x.is_nan() || (x.is_finite() && x >= 0.0))
+            }
+            Self::DurationUs | Self::RiseTimeUs | Self::Counts | Self::EnergyEu | Self::Channel | Self::Channels => {
                 ("a finite number of at least 0", |x| x.is_finite() && x >= 0.0)
             }
             Self::Phase => ("0 (loading) or 1 (unloading)", |x| x == 0.0 || x == 1.0),

@@ -31,12 +31,17 @@ pub struct GroupingOptions {
     pub speed_m_per_s: f64,
     /// Time that is granted beyond that for errors of the arrival times, s.
     pub slack_s: f64,
+    /// Longest delay of a hit behind the first one of its event, s; none grants each pair of sensors the time that their distance
+    /// takes, and the slack.
+    #[serde(default)]
+    pub window_s: Option<f64>,
     /// Fewest channels of an event.
     pub fewest_channels: usize,
 }
 
 /// Groups `hits` (times not falling) into events: an event begins with a hit and takes the first hit of each other channel that
-/// arrives no later than the way between the two sensors (of known position) allows. A hit belongs to one event at most.
+/// arrives within the window, or else no later than the way between the two sensors (of known position) allows. A hit belongs to
+/// one event at most.
 ///
 /// # Errors
 /// Options out of range, a channel without a sensor, or times that fall.
@@ -45,6 +50,7 @@ pub fn group(hits: &[ChannelHit], sensors: &[Sensor], options: &GroupingOptions)
     if !(options.slack_s.is_finite() && options.slack_s >= 0.0) {
         return Err(EmissionError::option("slack_s", options.slack_s, "a finite number of at least 0"));
     }
+    options.window_s.map(|window| positive("window_s", window)).transpose()?;
     if options.fewest_channels == 0 {
         return Err(EmissionError::option("fewest_channels", options.fewest_channels, "at least 1"));
     }
@@ -60,6 +66,9 @@ pub fn group(hits: &[ChannelHit], sensors: &[Sensor], options: &GroupingOptions)
         sensor.push(of_channel(hit.channel).ok_or_else(refused)?);
     }
     let way = |a: usize, b: usize| {
+        if let Some(window) = options.window_s {
+            return window;
+        }
         let (a, b) = (sensors[a].position_m, sensors[b].position_m);
         let squares: f64 = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();
         squares.sqrt() / options.speed_m_per_s + options.slack_s

@@ -4,6 +4,7 @@
 //! drops out, as does the mean of the residuals; the covariance is that of the linear problem at the solution times the variance
 //! of an arrival time.
 
+pub mod events;
 pub mod grouping;
 #[cfg(test)]
 mod tests;

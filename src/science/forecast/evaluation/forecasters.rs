@@ -36,11 +36,11 @@ pub(crate) struct Part<'a> {
 }
 
 /// Probabilities of one model.
-pub(super) struct Probabilities {
+pub(crate) struct Probabilities {
     /// Of each training row, from a fit that did not see its fold.
-    pub(super) out_of_fold: Vec<f64>,
+    pub(crate) out_of_fold: Vec<f64>,
     /// Of each test row, from the fit to all training rows.
-    pub(super) test: Vec<f64>,
+    pub(crate) test: Vec<f64>,
 }
 
 /// A machine with all that turns its decision values into a forecast.
@@ -83,18 +83,23 @@ impl<'a> Part<'a> {
         &self.event
     }
 
-    /// Probabilities of all models for the `test` rows; the SVM is given, as it is needed for more.
-    pub(super) fn probabilities(
+    /// What a machine of this part says of the `test` rows.
+    pub(crate) fn speak(&self, svm: &FittedSvm, test: &[usize]) -> Probabilities {
+        let seen = self.prepare(test).select_columns(&svm.columns);
+        let decision = |i| svm.platt.probability(svm.machine.decision_value(seen.row(i)));
+        Probabilities { out_of_fold: svm.out_of_fold.clone(), test: (0..test.len()).map(decision).collect() }
+    }
+
+    /// Probabilities of all models for the `test` rows; those of the machine are given, as it may come from elsewhere.
+    pub(crate) fn probabilities(
         &self,
-        svm: &FittedSvm,
+        svm: Probabilities,
         test: &[usize],
         progress: &dyn Progress,
     ) -> Result<PerModel<Probabilities>, TrainingError> {
         let features = self.prepare(test);
-        let seen = features.select_columns(&svm.columns);
-        let decision = |i| svm.platt.probability(svm.machine.decision_value(seen.row(i)));
         Ok(PerModel {
-            svm: Probabilities { out_of_fold: svm.out_of_fold.clone(), test: (0..test.len()).map(decision).collect() },
+            svm,
             climatology: self.climatology(test),
             persistence: self.persistence(test),
             knn10: self.neighbours_by_variables(test, 10, progress)?,

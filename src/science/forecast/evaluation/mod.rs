@@ -7,12 +7,17 @@
 //! the ridge penalty, base rates, and each model's threshold, which is chosen on out-of-fold probabilities of inner
 //! [season folds](folds). Scores pool the held-out days of all seasons, each day judged by the threshold of its own split.
 //!
+//! Of a region whose stations feed one model, every station and day is a row to learn from; what is scored is the region's
+//! day, with the mean of what its stations give it, for every model alike. All stations of a season stand on the same side
+//! of every split: what one of them saw would tell the label of the others.
+//!
 //! Splits run side by side and are put together in order of season: the result has the same bits at any number of threads.
 
 use jiff::civil::Date;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+mod comparison;
 pub mod folds;
 mod forecasters;
 mod per_model;
@@ -27,12 +32,14 @@ use super::verification::reliability::{ReliabilityBin, bins};
 use super::verification::roc::{RocPoint, curve};
 use super::verification::{Outcome, Scores};
 use crate::progress::Progress;
+pub(crate) use comparison::work_of_both;
+pub use comparison::{Comparison, Differences, SeasonComparison, Verdict};
 pub(crate) use folds::inner_folds;
 use folds::{seasons_before_chaining, seasons_of_each_class};
-pub(crate) use forecasters::Part;
+pub(crate) use forecasters::{Part, Probabilities};
 pub use per_model::PerModel;
 pub(crate) use resume::Done;
-pub(crate) use samples::{Samples, before, is_recorded, variables_read};
+pub(crate) use samples::{Samples, before, by_day, first_of, is_recorded, variables_read};
 pub(crate) use share::{Share, Shares};
 
 /// Bins of the reliability diagram.
@@ -46,7 +53,7 @@ pub const LEVEL: f64 = 0.95;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Evaluation {
-    /// Scored days.
+    /// Scored days; of a region each day once, however many of its stations were recorded.
     pub days: usize,
     /// Avalanche days among them.
     pub events: usize,
@@ -214,6 +221,31 @@ pub(crate) fn evaluate(
     options: &TrainingOptions,
     shares: &Shares<'_>,
 ) -> Result<Evaluation, TrainingError> {
+    let (held_out, chained) = judge_all(samples, plan, options, shares)?;
+    Ok(report(samples, &held_out, &chained, options))
+}
+
+/// The same beside the recipe on `active_seasons` alone; `shares` has the parts of [`work_of_both`].
+pub(crate) fn evaluate_against(
+    samples: &Samples,
+    plan: &Plan,
+    active_seasons: &[i16],
+    options: &TrainingOptions,
+    shares: &Shares<'_>,
+) -> Result<(Evaluation, Option<Comparison>), TrainingError> {
+    let (held_out, chained) = judge_all(samples, plan, options, shares)?;
+    let first = plan.splits().count();
+    let comparison = comparison::compare(samples, &held_out, active_seasons, options, shares, first)?;
+    Ok((report(samples, &held_out, &chained, options), comparison))
+}
+
+/// The held-out seasons and the chained ones.
+fn judge_all(
+    samples: &Samples,
+    plan: &Plan,
+    options: &TrainingOptions,
+    shares: &Shares<'_>,
+) -> Result<(Vec<Judged>, Vec<Judged>), TrainingError> {
     let splits: Vec<&Split> = plan.splits().collect();
     let done = Done::resume(samples, options, splits.len(), shares.whole());
     let judged: Vec<Result<Judged, TrainingError>> = splits
@@ -234,7 +266,7 @@ pub(crate) fn evaluate(
         .collect();
     let mut held_out = judged.into_iter().collect::<Result<Vec<_>, _>>()?;
     let chained = held_out.split_off(plan.held_out.len());
-    Ok(report(samples, &held_out, &chained, options))
+    Ok((held_out, chained))
 }
 
 /// Fits every model to the training rows of a split and forecasts its season.
@@ -249,26 +281,34 @@ fn judge(
     }
     let part = Part::new(samples, &split.training);
     let svm = part.svm(options, progress)?;
-    let probabilities = part.probabilities(&svm, &split.test, progress)?;
-    let threshold = probabilities
-        .try_map(|p| options.threshold.choose(&p.out_of_fold, part.event()).ok_or(TrainingError::NoThreshold))?;
-    let outcomes = |threshold: f64, probability: &[f64]| {
-        let days = split.test.iter().zip(probability).zip(&probabilities.climatology.test);
-        days.map(|((&i, &probability), &reference)| Outcome {
-            probability,
-            warned: probability >= threshold,
-            event: samples.event[i],
-            reference,
-        })
-        .collect::<Vec<_>>()
-    };
+    let probabilities = part.probabilities(part.speak(&svm, &split.test), &split.test, progress)?;
+    let (learnt, tested) = (samples.days_of(&split.training), samples.days_of(&split.test));
+    let known = first_of(&learnt, part.event());
+    let threshold = probabilities.try_map(|p| {
+        options.threshold.choose(&by_day(&learnt, &p.out_of_fold), &known).ok_or(TrainingError::NoThreshold)
+    })?;
+    let probability = probabilities.map(|p| by_day(&tested, &p.test));
+    let event: Vec<bool> = tested.iter().map(|day| samples.event[split.test[day.start]]).collect();
     Ok(Judged {
         season: split.season,
-        outcomes: probabilities.zip_with(&threshold, |p, &threshold| outcomes(threshold, &p.test)),
+        outcomes: probability
+            .zip_with(&threshold, |p, &threshold| outcomes(p, threshold, &event, &probability.climatology)),
         threshold,
         c: svm.best.c,
         gamma: svm.best.gamma,
     })
+}
+
+/// What was said of each day at a threshold, and what happened.
+pub(crate) fn outcomes(probability: &[f64], threshold: f64, event: &[bool], reference: &[f64]) -> Vec<Outcome> {
+    let days = probability.iter().zip(event).zip(reference);
+    let outcome = |((&probability, &event), &reference): ((&f64, &bool), &f64)| Outcome {
+        probability,
+        warned: probability >= threshold,
+        event,
+        reference,
+    };
+    days.map(outcome).collect()
 }
 
 fn report(samples: &Samples, held_out: &[Judged], chained: &[Judged], options: &TrainingOptions) -> Evaluation {
@@ -276,22 +316,25 @@ fn report(samples: &Samples, held_out: &[Judged], chained: &[Judged], options: &
     let pooled = pool(held_out);
     let scores = pooled.map(|o| Scores::of(o, cost_loss));
     let probability: Vec<f64> = pooled.svm.iter().map(|o| o.probability).collect();
-    let reliability = bins(&probability, &samples.event, RELIABILITY_BINS);
-    let events = count_events(&pooled.svm);
+    let event: Vec<bool> = pooled.svm.iter().map(|o| o.event).collect();
+    let season: Vec<usize> =
+        held_out.iter().flat_map(|judged| vec![judged.season; judged.outcomes.svm.len()]).collect();
+    let reliability = bins(&probability, &event, RELIABILITY_BINS);
+    let (days, events) = (pooled.svm.len(), count_events(&pooled.svm));
     Evaluation {
-        days: samples.len(),
+        days,
         events,
         seasons: samples.seasons.len(),
-        base_rate: events as f64 / samples.len() as f64,
+        base_rate: events as f64 / days as f64,
         first: samples.date.first().copied().unwrap_or_default(),
         last: samples.date.last().copied().unwrap_or_default(),
         scores,
         per_season: held_out.iter().map(|judged| season_scores(samples, judged, cost_loss)).collect(),
-        brier_decomposition: decomposition(&probability, &samples.event, &reliability),
+        brier_decomposition: decomposition(&probability, &event, &reliability),
         reliability,
-        roc: curve(&probability, &samples.event),
+        roc: curve(&probability, &event),
         forward_chaining: forward_chaining(samples, chained, cost_loss),
-        bootstrap: bootstrap(samples, &pooled, options.seed),
+        bootstrap: bootstrap(samples.seasons.len(), &season, &pooled, options.seed),
     }
 }
 
@@ -334,9 +377,10 @@ fn forward_chaining(samples: &Samples, chained: &[Judged], cost_loss: Option<f64
     })
 }
 
-fn bootstrap(samples: &Samples, pooled: &PerModel<Vec<Outcome>>, seed: u64) -> Bootstrap {
-    let draws = SeasonDraws::new(samples.seasons.len(), REPLICATES, seed);
-    let replicates = pooled.map(|outcomes| replicate(outcomes, &samples.season, &draws));
+/// `season` is the position of the season of each outcome among the `seasons`.
+pub(crate) fn bootstrap(seasons: usize, season: &[usize], pooled: &PerModel<Vec<Outcome>>, seed: u64) -> Bootstrap {
+    let draws = SeasonDraws::new(seasons, REPLICATES, seed);
+    let replicates = pooled.map(|outcomes| replicate(outcomes, season, &draws));
     let intervals = |r: &Replicates| Intervals {
         auc: interval(&r.auc, LEVEL),
         pss: interval(&r.pss, LEVEL),

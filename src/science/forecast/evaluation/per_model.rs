@@ -76,7 +76,7 @@ impl<T> PerModel<T> {
 
 impl<T> PerModel<Vec<T>> {
     /// Puts `more` at the end of each model's list.
-    pub(super) fn append(&mut self, more: Self) {
+    pub(crate) fn append(&mut self, more: Self) {
         self.svm.extend(more.svm);
         self.climatology.extend(more.climatology);
         self.persistence.extend(more.persistence);

@@ -1,20 +1,26 @@
 //! The days that a model can be trained and scored on.
 
+use std::ops::Range;
+
 use jiff::ToSpan;
 use jiff::civil::Date;
 
 use crate::forecast::day::{DayRecord, Label, Variable, day_of_season, season_of};
 use crate::forecast::features::{FeatureSet, History};
 use crate::forecast::matrix::Matrix;
+use crate::forecast::region;
 
 /// Scorable days in order of date, one row each: the label of the target day is known, and the base day and the two
-/// calendar days before it are recorded in the same season.
+/// calendar days before it are recorded in the same season. Of several stations there is a row for each that can be
+/// scored on a day; they stand next to each other and have the same label, which is that of the region.
 ///
 /// A day counts as recorded where it has a value of a variable that a feature is computed from.
 #[derive(Clone, Debug)]
 pub(crate) struct Samples {
     /// Target days.
     pub(crate) date: Vec<Date>,
+    /// Position of the station among those that were pooled; 0 where there is one.
+    pub(crate) station: Vec<usize>,
     /// Whether the target day is an avalanche day.
     pub(crate) event: Vec<bool>,
     /// Label of the calendar day before the target day, the newest that is known when a forecast for it is issued.
@@ -56,11 +62,47 @@ impl Samples {
             variables: base_day_variables(history, set, &base),
             season: season_year.iter().map(position).collect(),
             seasons,
+            station: vec![0; date.len()],
             date,
         }
     }
 
-    /// Number of scorable days.
+    /// The rows of several stations in order of date, those of a day in the order of the stations.
+    pub(crate) fn pool(mut stations: Vec<Self>) -> Self {
+        if stations.len() == 1
+            && let Some(only) = stations.pop()
+        {
+            return only;
+        }
+        let mut order: Vec<(Date, usize, usize)> = stations
+            .iter()
+            .enumerate()
+            .flat_map(|(s, samples)| samples.date.iter().enumerate().map(move |(i, &date)| (date, s, i)))
+            .collect();
+        order.sort_unstable();
+        let mut seasons: Vec<i16> = order.iter().map(|&(date, ..)| season_of(date)).collect();
+        let season = seasons.clone();
+        seasons.dedup();
+        let stack = |matrix: fn(&Self) -> &Matrix| {
+            let cols = stations.first().map_or(0, |first| matrix(first).cols());
+            let data = order.iter().flat_map(|&(_, s, i)| matrix(&stations[s]).row(i).iter().copied()).collect();
+            // every station has the columns of the same set
+            Matrix::from_rows(order.len(), cols, data).unwrap_or_else(|| Matrix::filled(0, cols, f64::NAN))
+        };
+        Self {
+            date: order.iter().map(|&(date, ..)| date).collect(),
+            station: order.iter().map(|&(_, s, _)| s).collect(),
+            event: order.iter().map(|&(_, s, i)| stations[s].event[i]).collect(),
+            yesterday: order.iter().map(|&(_, s, i)| stations[s].yesterday[i]).collect(),
+            day_of_season: order.iter().map(|&(_, s, i)| stations[s].day_of_season[i]).collect(),
+            features: stack(|samples| &samples.features),
+            variables: stack(|samples| &samples.variables),
+            season: season.iter().map(|year| seasons.partition_point(|s| s < year)).collect(),
+            seasons,
+        }
+    }
+
+    /// Number of rows: scorable days of stations.
     pub(crate) fn len(&self) -> usize {
         self.date.len()
     }
@@ -69,6 +111,28 @@ impl Samples {
     pub(crate) fn rows_of(&self, keep: impl Fn(usize) -> bool) -> Vec<usize> {
         (0..self.len()).filter(|&i| keep(self.season[i])).collect()
     }
+
+    /// The days of `rows`, which are rising: for each the positions in `rows` of the stations that can be scored on it.
+    pub(crate) fn days_of(&self, rows: &[usize]) -> Vec<Range<usize>> {
+        let mut days: Vec<Range<usize>> = Vec::new();
+        for (at, &row) in rows.iter().enumerate() {
+            match days.last_mut() {
+                Some(day) if self.date[rows[day.start]] == self.date[row] => day.end = at + 1,
+                _ => days.push(at..at + 1),
+            }
+        }
+        days
+    }
+}
+
+/// What several stations say of a day: the mean of their `values`, one a row. A single value keeps its bits.
+pub(crate) fn by_day(days: &[Range<usize>], values: &[f64]) -> Vec<f64> {
+    days.iter().map(|day| region::mean(&values[day.clone()])).collect()
+}
+
+/// The first of the `values` of each day, which all its rows share.
+pub(crate) fn first_of<T: Copy>(days: &[Range<usize>], values: &[T]) -> Vec<T> {
+    days.iter().map(|day| values[day.start]).collect()
 }
 
 /// The base day of a target day, `None` where it or one of the two days before it is not recorded in the same season.

@@ -274,7 +274,8 @@ fn economic_value(outcomes: &[(usize, Outcome)], ratio: f64) -> Option<f64> {
 }
 
 impl Drift {
-    fn of(issued: &[IssuedDay]) -> Self {
+    /// Of days whose outcome is known.
+    pub(crate) fn of(issued: &[IssuedDay]) -> Self {
         let days = issued.len() as f64;
         let mean = |value: &dyn Fn(&IssuedDay) -> f64| finite_ratio(issued.iter().map(value).sum::<f64>(), days);
         let sum = |value: &dyn Fn(&IssuedDay) -> f64| issued.iter().map(value).sum::<f64>();

@@ -59,10 +59,13 @@ pub struct TrainingWindow {
     pub first: Date,
     /// Last day.
     pub last: Date,
-    /// Number of days.
+    /// Number of days; of several stations a day counts once.
     pub days: usize,
     /// Avalanche days among them.
     pub events: usize,
+    /// Rows that it was fitted to: days of stations. 0 in a model of an earlier version, which had one station.
+    #[serde(default)]
+    pub station_days: usize,
     /// Years in which the seasons begin.
     pub seasons: Vec<i16>,
 }
@@ -74,6 +77,9 @@ pub struct SupportDay {
     pub date: Date,
     /// Whether it was an avalanche day.
     pub label: bool,
+    /// Position of its station among those that were pooled; 0 where there is one.
+    #[serde(default)]
+    pub station: usize,
 }
 
 /// What is forecast.
@@ -134,6 +140,9 @@ pub struct SimilarDay {
     pub kernel: f64,
     /// `alpha y k`: what it adds to the decision value, above 0 where it speaks for an avalanche day.
     pub contribution: f64,
+    /// Position of its station among those that the model was trained on; 0 where there is one.
+    #[serde(skip)]
+    pub station: usize,
 }
 
 /// Why there is no forecast.
@@ -233,9 +242,10 @@ impl TrainedModel {
                 label: day.label,
                 kernel,
                 contribution: coefficient * kernel,
+                station: day.station,
             })
             .collect();
-        similar.sort_by(|a, b| b.kernel.total_cmp(&a.kernel).then(a.date.cmp(&b.date)));
+        similar.sort_by(|a, b| b.kernel.total_cmp(&a.kernel).then(a.date.cmp(&b.date)).then(a.station.cmp(&b.station)));
         similar.truncate(count);
         Ok(similar)
     }
@@ -269,7 +279,7 @@ impl TrainedModel {
     }
 
     /// The features as they are computed today, which must be those of the training.
-    fn feature_set(&self) -> Result<FeatureSet, ForecastError> {
+    pub(crate) fn feature_set(&self) -> Result<FeatureSet, ForecastError> {
         let all = FeatureSet::new(self.feature_set, &self.reported);
         if all.version != self.feature_set_version {
             return Err(ForecastError::FeatureSetChanged { stored: self.feature_set_version, current: all.version });

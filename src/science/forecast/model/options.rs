@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::forecast::day::{DayRecord, Label, Variable};
-use crate::forecast::evaluation::Samples;
 use crate::forecast::evaluation::folds::{SEASONS_NEEDED, seasons_of_each_class};
+use crate::forecast::evaluation::{Samples, first_of};
 use crate::forecast::features::{FeatureSet, FeatureSetId, History, HistoryError, UnknownFeature};
 use crate::forecast::logistic::LogisticError;
 use crate::forecast::svm::{CalibrationError, EliminationError, Grid, GridError, KernelFamily, SolverError};
@@ -56,8 +56,11 @@ pub enum FeatureChoice {
 /// What there is to train on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainingSummary {
-    /// Scorable days: the label is known, and the base day and the two before it are recorded in the same season.
+    /// Scorable days: the label is known, and the base day and the two before it are recorded in the same season. Of several
+    /// stations a day counts once.
     pub days: usize,
+    /// Rows to learn from: scorable days of stations, which is [`Self::days`] where there is one station.
+    pub station_days: usize,
     /// Avalanche days among them.
     pub events: usize,
     /// Seasons with a scorable day.
@@ -191,14 +194,24 @@ pub(crate) struct Prepared {
 /// # Errors
 /// What [`train`](super::train) would say before it starts.
 pub fn check(days: &[DayRecord], options: &TrainingOptions) -> Result<TrainingSummary, TrainingError> {
-    prepare(days, options).map(|prepared| prepared.summary)
+    check_pooled(&[days], options)
 }
 
-pub(crate) fn prepare(days: &[DayRecord], options: &TrainingOptions) -> Result<Prepared, TrainingError> {
+/// The same for the days of several stations.
+///
+/// # Errors
+/// What [`train_pooled`](super::train_pooled) would say before it starts.
+pub fn check_pooled(stations: &[&[DayRecord]], options: &TrainingOptions) -> Result<TrainingSummary, TrainingError> {
+    prepare(stations, options).map(|prepared| prepared.summary)
+}
+
+pub(crate) fn prepare(stations: &[&[DayRecord]], options: &TrainingOptions) -> Result<Prepared, TrainingError> {
     check_options(options)?;
-    let history = History::new(days)?;
     let set = chosen(FeatureSet::new(options.feature_set, &options.reported), options)?;
-    let samples = Samples::collect(&history, &set, options.label, options.lead);
+    let collect = |days: &&[DayRecord]| -> Result<Samples, TrainingError> {
+        Ok(Samples::collect(&History::new(days)?, &set, options.label, options.lead))
+    };
+    let samples = Samples::pool(stations.iter().map(collect).collect::<Result<_, _>>()?);
     let summary = summarise(&samples)?;
     Ok(Prepared { set, samples, summary })
 }
@@ -260,6 +273,9 @@ fn summarise(samples: &Samples) -> Result<TrainingSummary, TrainingError> {
     if event_seasons.min(quiet_seasons) < SEASONS_NEEDED {
         return Err(TrainingError::OneClass { event_seasons, quiet_seasons, needed: SEASONS_NEEDED });
     }
-    let (days, events) = (samples.len(), samples.event.iter().filter(|&&event| event).count());
-    Ok(TrainingSummary { days, events, seasons, base_rate: events as f64 / days as f64, first, last })
+    let rows: Vec<usize> = (0..samples.len()).collect();
+    let known = first_of(&samples.days_of(&rows), &samples.event);
+    let (days, events) = (known.len(), known.iter().filter(|&&event| event).count());
+    let base_rate = events as f64 / days as f64;
+    Ok(TrainingSummary { days, station_days: samples.len(), events, seasons, base_rate, first, last })
 }

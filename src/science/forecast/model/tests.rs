@@ -6,11 +6,13 @@ use jiff::civil::{Date, date};
 
 use super::*;
 use crate::forecast::day::{Activity, Label, Variable, season_of};
+use crate::forecast::evaluation::Verdict;
 use crate::forecast::features::FeatureSetId;
 use crate::forecast::selection::select;
 use crate::forecast::svm::{Grid, GridError, KernelFamily};
 use crate::forecast::synthetic::{REPORTED, synthetic_station};
-use crate::forecast::verification::ThresholdRule;
+use crate::forecast::transfer;
+use crate::forecast::verification::{Scores, ThresholdRule};
 use crate::progress::{Progress, Unobserved};
 
 const SEASONS: usize = 6;
@@ -453,4 +455,43 @@ fn a_cost_loss_ratio_is_the_threshold_of_every_model() {
     let table = evaluation.scores.svm.contingency;
     assert_eq!(evaluation.scores.svm.expected_cost, table.expected_cost(0.3));
     assert!(table.expected_cost(0.3).unwrap() < evaluation.base_rate, "cheaper than never to warn");
+}
+
+/// What a retraining compares is what the parts say of themselves: the candidate is its own evaluation; the active model on
+/// its own seasons is its own evaluation, and on a season that it never saw it is that model at another place.
+#[test]
+fn a_retraining_compares_what_was_held_out_from_both() {
+    let days = synthetic_station(21, 2000, 6);
+    let early: Vec<DayRecord> = days.iter().filter(|day| season_of(day.date) < 2004).copied().collect();
+    let options = options();
+    let active = train(&early, &options, &Unobserved).unwrap();
+    let (candidate, comparison) = retrain(&[&days], &options, &active.model.training.seasons, &Unobserved).unwrap();
+    let comparison = comparison.unwrap();
+    assert_eq!(candidate, train(&days, &options, &Unobserved).unwrap());
+    assert_eq!((comparison.seasons.len(), comparison.new_seasons.as_slice()), (6, &[2004, 2005][..]));
+    assert_eq!(comparison.candidate, candidate.evaluation.scores.svm);
+    let target =
+        transfer::Target { days: &days, reported: &options.reported, trained_on: &active.model.training.seasons };
+    let elsewhere = transfer::evaluate(&active.model, target, 1, &Unobserved).unwrap();
+    let own = active.evaluation.per_season.iter().map(|season| (season.season, season.scores.svm));
+    let new = elsewhere.per_season.iter().map(|season| (season.season, season.scores.svm.unwrap()));
+    for ((season, expected), compared) in own.chain(new).zip(&comparison.per_season) {
+        assert_eq!(compared.season, season);
+        // the climatology that both are measured against is that of all seasons
+        let found = Scores { brier_skill: expected.brier_skill, ..compared.active };
+        assert_eq!(found, expected, "{season}");
+    }
+    let auc = comparison.difference.auc.unwrap();
+    assert_eq!(auc.estimate, comparison.candidate.auc.unwrap() - comparison.active.auc.unwrap());
+    assert!(auc.lower <= auc.estimate && auc.estimate <= auc.upper);
+
+    // the same seasons: nothing differs
+    let (_, same) = retrain(&[&early], &options, &active.model.training.seasons, &Unobserved).unwrap();
+    let same = same.unwrap();
+    assert_eq!((same.candidate, same.new_seasons.len(), same.verdict), (same.active, 0, Verdict::NoDifference));
+    assert_eq!(same.difference.pss.unwrap().upper, 0.0);
+    // an active model of two seasons cannot be judged without one of them
+    let (_, none) = retrain(&[&early], &options, &[2000, 2001], &Unobserved).unwrap();
+    let known: Vec<i16> = none.unwrap().seasons;
+    assert_eq!(known, [2002, 2003], "a season that the active model saw leaves it one alone");
 }

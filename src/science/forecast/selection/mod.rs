@@ -127,10 +127,23 @@ pub fn select(
     options: &TrainingOptions,
     progress: &dyn Progress,
 ) -> Result<FeatureSelection, TrainingError> {
+    select_pooled(&[days], options, progress)
+}
+
+/// The same on the days of several stations, as [`train_pooled`](super::model::train_pooled) takes them; the score is that of
+/// days of stations.
+///
+/// # Errors
+/// As [`select`].
+pub fn select_pooled(
+    stations: &[&[DayRecord]],
+    options: &TrainingOptions,
+    progress: &dyn Progress,
+) -> Result<FeatureSelection, TrainingError> {
     if options.kernel != KernelFamily::Gaussian || matches!(options.features, FeatureChoice::Eliminated { .. }) {
         return Err(TrainingError::EliminationKernel);
     }
-    let prepared = prepare(days, options)?;
+    let prepared = prepare(stations, options)?;
     let samples = &prepared.samples;
     let group = inner_folds(&samples.season, &samples.event);
     let groups = group.iter().max().map_or(0, |&last| last + 1);

@@ -76,7 +76,7 @@ fn the_curve_has_every_size_and_the_ranking_every_feature() {
 #[test]
 fn nothing_is_learnt_from_the_seasons_that_are_scored() {
     let days = days();
-    let prepared = prepare(&days, &options()).unwrap();
+    let prepared = prepare(&[&days], &options()).unwrap();
     let mut samples = prepared.samples;
     let group = inner_folds(&samples.season, &samples.event);
     let before = eliminate(&samples, &group, Some(1), &options(), &Unobserved).unwrap();
