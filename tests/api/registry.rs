@@ -129,6 +129,7 @@ async fn the_audit_says_who_did_what_and_why() {
         "longitude": null,
         "altitude_m": null,
         "timezone": null,
+        "eaws_region": null,
         "variables": null,
         "retrain": null
       },
@@ -138,6 +139,7 @@ async fn the_audit_says_who_did_what_and_why() {
         "longitude": null,
         "altitude_m": null,
         "timezone": null,
+        "eaws_region": null,
         "variables": null,
         "retrain": null
       },
