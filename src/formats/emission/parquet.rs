@@ -26,6 +26,13 @@ fn malformed(error: impl std::fmt::Display) -> FileError {
 /// # Errors
 /// [`FileError`]: no Parquet, no known columns, amplitudes without a unit or in two, or a column that is no number.
 pub fn read(file: File, options: &ReadOptions) -> Result<Reading, FileError> {
+    // the crate panics on some damaged pages (a page that claims a dictionary where there is none); nothing of what it
+    // worked on is used afterwards
+    let read = std::panic::AssertUnwindSafe(|| read_whole(file, options));
+    std::panic::catch_unwind(read).unwrap_or_else(|_| Err(malformed("a page is damaged")))
+}
+
+fn read_whole(file: File, options: &ReadOptions) -> Result<Reading, FileError> {
     let reader = SerializedFileReader::new(file).map_err(malformed)?;
     let metadata = reader.metadata();
     let rows = usize::try_from(metadata.file_metadata().num_rows()).unwrap_or(usize::MAX);
