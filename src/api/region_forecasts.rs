@@ -79,12 +79,12 @@ pub struct RegionForecast {
     #[schema(value_type = Object)]
     provenance: Value,
     /// Each station of the region, in its order.
-    stations: Vec<StationForecast>,
+    stations: Vec<RegionStationForecast>,
 }
 
 /// What the models say of one station of a region.
 #[derive(Serialize, ToSchema)]
-pub struct StationForecast {
+pub struct RegionStationForecast {
     /// The station.
     station: StationId,
     /// What the region's model makes of its observations: a part of the mean. Null where it has none of the base day.
@@ -186,7 +186,7 @@ async fn station(
     days: &[DayRecord],
     date: Date,
     lead: Lead,
-) -> ApiResult<StationForecast> {
+) -> ApiResult<RegionStationForecast> {
     let regional = of_station(state, speaker, days, date).await?;
     let id = speaker.station.id.clone();
     let own = state.store.active_model(&Place::Station(id.clone()), lead.0).await?;
@@ -203,5 +203,5 @@ async fn station(
         decision_value: forecast.decision_value,
         inputs: forecast.inputs,
     });
-    Ok(StationForecast { station: id, regional, made_by, forecast })
+    Ok(RegionStationForecast { station: id, regional, made_by, forecast })
 }

@@ -41,11 +41,11 @@ EXPLAINED = {
     # a time zone that the IANA database does not have; If-Match of another version
     "put_station": {"invalid-body": {"/timezone"}, "precondition-failed": {""}},
     # the inputs of a process have a schema of their own, in its description; names of labels have rules that a schema of
-    # their values cannot say; a key belongs to the request that it was first sent with
+    # their values cannot say; raw results are of one output; a key belongs to the request that it was first sent with
     "execute_process": {
         "invalid-inputs": {"/inputs"},
         "training-window": {"/inputs"},
-        "invalid-body": {"/labels"},
+        "invalid-body": {"/labels", "/outputs"},
         "idempotency-key-reused": {""},
     },
     # a text has no schema: what is no table of hits is refused, as are waveforms without what makes hits of them; numbers that
