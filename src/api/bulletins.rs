@@ -9,9 +9,10 @@ use super::{
     AppState,
     avalanches::DayPath,
     extract::{Conditions, Date, Path, Query},
-    forecasts::{Lead, Weather, model_lead},
+    forecasts::{Lead, Weather},
     problem::ApiResult,
     respond,
+    speaker::model_lead,
     stations::StationPath,
 };
 use crate::{

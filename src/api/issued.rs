@@ -12,10 +12,11 @@ use super::{
     auth::Caller,
     avalanches::DayPath,
     extract::{Conditions, Date, JsonBody, Path, Query},
-    forecasts::{ForecastResource, Lead, Speaker, Weather, model_lead},
+    forecasts::{ForecastResource, Lead, Weather},
     models::LeadQuery,
     problem::ApiResult,
     respond,
+    speaker::{Speaker, model_lead},
 };
 use crate::{
     clock,

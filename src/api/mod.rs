@@ -33,6 +33,7 @@ mod respond;
 mod router;
 mod scenarios;
 mod selections;
+mod speaker;
 mod spool;
 pub(crate) mod stations;
 mod transfers;

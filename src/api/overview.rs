@@ -7,9 +7,10 @@ use utoipa::{IntoParams, ToSchema};
 use super::{
     AppState,
     extract::{Conditions, Date, Query},
-    forecasts::{ForecastResource, Lead, Speaker, Weather, model_lead},
+    forecasts::{ForecastResource, Lead, Weather},
     problem::{ApiError, ApiResult},
     respond,
+    speaker::{Speaker, model_lead},
     stations::Limit,
 };
 use crate::domain::{

@@ -9,10 +9,11 @@ use uuid::Uuid;
 use super::{
     AppState,
     extract::{Conditions, Date, Path, Query},
-    forecasts::{ForecastResource, Lead, Speaker, Weather, before, season_begins},
+    forecasts::{ForecastResource, Lead, Weather},
     models::{self, LeadQuery},
     problem::ApiResult,
     respond,
+    speaker::{Speaker, before, season_begins},
 };
 use crate::{
     domain::{

@@ -10,9 +10,10 @@ use utoipa::{IntoParams, ToSchema};
 use super::{
     AppState,
     extract::{Conditions, Date, Path, Query},
-    forecasts::{Lead, Weather, model_lead},
+    forecasts::{Lead, Weather},
     problem::ApiResult,
     respond,
+    speaker::model_lead,
     stations::StationPath,
 };
 use crate::{

@@ -9,9 +9,10 @@ use uuid::Uuid;
 use super::{
     AppState,
     extract::{Conditions, Date, JsonBody, Path},
-    forecasts::{ForecastResource, Lead, Speaker, Weather, model_lead},
+    forecasts::{ForecastResource, Lead, Weather},
     problem::ApiResult,
     respond,
+    speaker::{Speaker, model_lead},
     stations::StationPath,
 };
 use crate::{
